@@ -111,10 +111,7 @@ def make_folder(folder: Path) -> None:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary name that on success, on disk, takes the place of `path`, unless another program holds that.
-
-    Links are followed; a device or a stream is written, never replaced.
-    """
+    """A temporary name that on success takes the place of `path`, links followed; devices and streams are written."""
     target = require_writable(path)
     try:
         through = _stream(target) is not None or (target.exists() and not target.is_file())

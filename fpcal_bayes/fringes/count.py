@@ -80,14 +80,10 @@ class Reading:
         return changes, covariance + (0.0 if self.fit is None else self.fit.ends_variance)
 
     def grouped(self, points: int) -> tuple[Floats, Floats, float]:
-        """Places (points + 1,), changes in um to evenly spaced interior points and to the end, and one sd in um.
-
-        It is the least with which rows of a group (equal variances, correlation 1/2) claim no more than is known.
-        """
+        """Places (points + 1,), changes there in um, and the least sd in um that does not claim more than is known."""
         s = np.linspace(-1.0, 1.0, points + 2)[1:]
         changes, covariance = self.changes(s)
-        shape = 0.5 * (np.eye(len(s)) + 1.0)
-        root = np.linalg.inv(np.linalg.cholesky(shape))
+        root = np.linalg.inv(np.linalg.cholesky(0.5 * (np.eye(len(s)) + 1.0)))
         largest = np.linalg.eigvalsh(root @ covariance @ root.T)[-1]
         return s, changes, float(np.sqrt(max(largest, self.sigma**2)))
 

@@ -81,10 +81,7 @@ class Fit:
         return float(np.exp(self.unknowns[self.nuisance.counts[0]]))
 
     def told(self, s: Floats) -> tuple[Floats, Floats]:
-        """Changes of L from the start to places on the sweep by the signal alone, without the prior of the profile.
-
-        Returns in um, shape (n,), and a square root of their covariance, shape (n, n_modes).
-        """
+        """Changes of L in um (n,) from the start by the signal alone, and a root of their covariance (n, n_modes)."""
         n = self.modes.shape[1]
         z, spread = self.unknowns[-n:], self.unknowns_covariance[-n:, -n:]
         variance, vectors = np.linalg.eigh(spread)
@@ -137,8 +134,7 @@ def damping(profile: Floats, s: Floats, spread: Floats | float, phase_per_um: fl
     """What averages over places of a `spread` (n,) around `s` (n,) leave of the height of the fringes, (n,)."""
     if not np.any(spread):
         return np.ones(len(s))
-    slope = phase_per_um * slopes_at(profile, s)
-    return np.asarray(np.exp(-0.5 * slope**2 * spread))
+    return np.asarray(np.exp(-0.5 * (phase_per_um * slopes_at(profile, s)) ** 2 * spread))
 
 
 def fit_course(

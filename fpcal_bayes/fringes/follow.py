@@ -76,8 +76,7 @@ class Followed:
     @property
     def evidence(self) -> float:
         """Logarithm of how likely the best fit makes the trace, with the odds of such a mirror."""
-        rare = self.short or self.lag > 0.0
-        return self.solution.best.evidence + (float(np.log(_LATE_ODDS)) if rare else 0.0)
+        return self.solution.best.evidence + (float(np.log(_LATE_ODDS)) if self.short or self.lag > 0.0 else 0.0)
 
     @property
     def short(self) -> bool:
@@ -106,10 +105,7 @@ def follow(
     mirror_light: float = 0.0,
     errs: bool = False,
 ) -> Followed | None:
-    """The most likely course of a mirror, the `smooth` one on the joint's course among others; None where no fringe is.
-
-    noise: standard deviation of one reading in V to begin with. errs: whether the mirror is known to leave that course.
-    """
+    """The likeliest course of a mirror, or None: `noise` of a reading in V, `errs`: it is known to leave `smooth`."""
     found = [smooth.best.profile] if smooth else find_profiles(samples, loosened(profile, DEGREE, 0.3), phase_per_um, 1)
     if not len(found):
         return None
@@ -221,8 +217,7 @@ def _lagging(samples: Samples, lag: float) -> Samples:
     first = samples.s[0]
     # s' = share s'(before) + (1 - share) s, a bidiagonal system.
     bands = np.vstack([np.ones(len(samples)), np.full(len(samples), -share)])
-    lagged = solve_banded((1, 0), bands, (1.0 - share) * (samples.s - first))
-    return replace(samples, s=first + lagged)
+    return replace(samples, s=first + solve_banded((1, 0), bands, (1.0 - share) * (samples.s - first)))
 
 
 def _short(whole: Samples, size: int, grid: Floats, smooth: Followed, fit: _Fitter) -> Followed:
@@ -242,8 +237,7 @@ def _short(whole: Samples, size: int, grid: Floats, smooth: Followed, fit: _Fitt
         moved = _chunked(replace(some, s=limit(some.s, value)), size)
         ends = (-1.0, min(value, 1.0)) if stops else (max(-1.0, value), 1.0)
         # What others say is no prior of a fit that takes them in.
-        found = replace(fit(moved, replace(warm, prior=first.prior), known=known), ends=ends)
-        return FringeSolution((found,), moved)
+        return FringeSolution((replace(fit(moved, replace(warm, prior=first.prior), known=known), ends=ends),), moved)
 
     for _ in range(2):
         costs = held.misses(early, limit(early.s, grid[:, None]), per_um) / held.noise**2
@@ -280,8 +274,7 @@ def _lagged(whole: Samples, size: int, smooth: Followed, fit: _Fitter) -> Follow
     held, lag = max(fits, key=lambda each: each[0].evidence)
     for _ in range(_ROUNDS):
         moved = _lagging(whole, lag)
-        rise = (_lagging(whole, 1.0001 * lag).s - moved.s) / 1e-4
-        shift = _chunked(replace(moved, s=rise), size).s
+        shift = _chunked(replace(moved, s=(_lagging(whole, 1.0001 * lag).s - moved.s) / 1e-4), size).s
         moved = _chunked(moved, size)
         held = fit(moved, held, slope=per_um * slopes_at(held.profile, moved.s) * shift)
         step, sd = float(held.unknowns[-1]), float(np.sqrt(held.unknowns_covariance[-1, -1]))

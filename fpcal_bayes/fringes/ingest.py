@@ -92,8 +92,8 @@ def read_index(
             sweeps.file, f"{wanted}: a path is held against an estimate, by fpcal check", row=row, column="kind"
         )
     light, optics = _light(index, cell, settings), cell.interferometer
-    before = _read_scans(index, cell, index.sweeps.q_start, index.scans_before)
-    after = _read_scans(index, cell, index.sweeps.q_end, index.scans_after)
+    before = _read_scans(index, cell, sweeps.q_start, index.scans_before)
+    after = _read_scans(index, cell, sweeps.q_end, index.scans_after)
     recorded = _record(index, cell, light, estimate, before, after)
     found = read_traces(
         [each for each in recorded if each],
@@ -113,8 +113,7 @@ def read_index(
             parts.append(absolute_rows(sweeps, i, None, scan, light[1][i]))
         if reading is not None and settings.absolute:
             parts.append(absolute_rows(sweeps, i, before[i], after[i], light[1][i]))
-    doubtful = _doubtful(index, readings, after)
-    parts = [part for part in parts if len(part)]
+    doubtful, parts = _doubtful(index, readings, after), [part for part in parts if len(part)]
     rows = join(parts, sweeps.file) if parts else sweeps.take(np.zeros(0, dtype=np.int64))
     if parts:
         check_sweeps(rows, cell)
@@ -254,8 +253,7 @@ def rows_along(one: Sweeps, s: Floats) -> Sweeps:
     rows = one.take(np.zeros(n, dtype=np.int64))
     label = str(one.label[0]) or f"row {one.rows[0]}"
     names = [f"{label}-mid"] if n == 2 else [f"{label}-{i}of{n}" for i in range(1, n)]
-    share = (s[:, None] + 1.0) / 2.0
-    q_end = rows.q_start + share * (rows.q_end - rows.q_start)
+    q_end = rows.q_start + (s[:, None] + 1.0) / 2.0 * (rows.q_end - rows.q_start)
     q_end[-1] = one.q_end[0]
     labels = np.array([*names, label], dtype=np.str_)
     return replace(rows, q_end=q_end, label=labels, group=np.array([label] * n, dtype=np.str_))

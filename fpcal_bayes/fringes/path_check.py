@@ -209,11 +209,7 @@ def check(
 def check_rows(
     estimate: Estimate, trace: PathTrace, measured: PathError, *, session: str, time_h: float, points: int = 0
 ) -> Sweeps:
-    """A row of kind ``path``, the peak to peak of the error without sign, then sweeps to `points` points of it.
-
-    These are one group: the reading at the start, and the signal's drift, which counts as part of it, are common to
-    them.
-    """
+    """A row of kind ``path``, unsigned peak to peak of the error, and sweeps to `points` points: a group, one start."""
     q, model = trace.q[trace.path], CavityModel.of(estimate.cell, estimate.parameters, estimate.vector())
     name = Path(trace.file).name or "path"
     # Without the start; the path's end too unless it is the start again.

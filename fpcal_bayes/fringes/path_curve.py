@@ -52,10 +52,7 @@ class Levels:
     stability: float = STABILITY  # how mean and amplitude may bow between the scans, relative, one standard deviation
 
     def prior(self) -> tuple[Floats, Floats]:
-        """Expected nuisances and their covariance: mean and amplitude at either end, phase, bows of mean and amplitude.
-
-        Returns shapes (7,) and (7, 7), in V and rad.
-        """
+        """Mean, amplitude at both ends, phase, bows of both: expected (7,) and covariance (7, 7), in V and rad."""
         first, last = self.first, self.last
         c, s = np.cos(first.phase), np.sin(first.phase)
         turn = np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s / first.amplitude, c / first.amplitude]])
@@ -70,8 +67,7 @@ class Levels:
         else:
             expected[2], expected[3] = last.mean, last.amplitude / self.ratio[-1]
             covariance[[2, 3], [2, 3]] = last.covariance[0, 0], last.covariance[1, 1] / self.ratio[-1] ** 2
-        change = expected[2:4] - expected[:2]
-        covariance[[5, 6], [5, 6]] = change**2 / 2.0 + (self.stability * expected[:2]) ** 2
+        covariance[[5, 6], [5, 6]] = (expected[2:4] - expected[:2]) ** 2 / 2.0 + (self.stability * expected[:2]) ** 2
         return expected, covariance
 
     def weights(self) -> tuple[Floats, Floats]:
@@ -105,10 +101,7 @@ class Curve:
 
 
 def fit_curve(irradiance: Floats, expected: Floats, levels: Levels) -> Curve:
-    """Fit the error along a path: the best of several starts.
-
-    irradiance (n,) in V; expected: phase in rad (n,) that the estimate expects beyond that of the first reference scan.
-    """
+    """The best fit of several starts: irradiance (n,) in V, `expected` phase in rad beyond the first scan's."""
     fit = _Fit.of(irradiance, expected, levels)
     curves = [fit.minimise(start) for start in fit.starts()]
     best = min(curves, key=lambda curve: curve.objective)
@@ -173,8 +166,7 @@ class _Fit:
         sine = np.abs(np.sin(phase))
         # The ends have no neighbour, so that a curve that only just reaches an extreme counts too.
         padded = np.concatenate([[np.inf], sine, [np.inf]])
-        lowest = (sine < _EXTREME) & (sine <= padded[:-2]) & (sine < padded[2:])
-        for place in np.flatnonzero(lowest)[:_TURNS]:
+        for place in np.flatnonzero((sine < _EXTREME) & (sine <= padded[:-2]) & (sine < padded[2:]))[:_TURNS]:
             other = 2.0 * np.round(phase[place] / np.pi) * np.pi - phase
             yield curve.error + np.where(np.arange(len(phase)) >= place, other - phase, 0.0) / self.first.wave_number
 

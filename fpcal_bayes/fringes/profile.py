@@ -98,10 +98,7 @@ def loosened(profile: DisplacementProfile, degree: int, size: float) -> Displace
 
 
 def prior_profiles(cell: Cell, sweeps: Sweeps) -> list[DisplacementProfile]:
-    """Courses of sweeps by the cell's priors alone, optional parameters included.
-
-    Both path models are taken as likely, so that a reading does not presume which one the light follows.
-    """
+    """Courses of sweeps by the cell's priors alone, optional parameters included, both path models taken as likely."""
     parameters = ParameterSet(p for p in cell.parameters if p.prior_sd > 0)
     generator = np.random.default_rng(_SEED)
     sds = np.array([p.prior_sd for p in parameters])

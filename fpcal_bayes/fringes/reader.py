@@ -127,8 +127,7 @@ def _followed(
     found = follow(each.samples, each.profile, each.phase_per_um, course, nuisance, sd, mirror_light, errs=each.errs)
     if smooth is not None and (found is None or not found.astray):
         # Another course may still be nearly as likely.
-        apart = 0.0 if found is None else found.solution.best.ends_variance
-        found = _widened(smooth, apart)
+        found = _widened(smooth, 0.0 if found is None else found.solution.best.ends_variance)
     if found is None:
         return None
     # What is left beyond noise counts as slow noise, and either end may be off by as much as the blocks are.
@@ -212,8 +211,7 @@ class _Pool:
         expected = self.level * (fit.amplitude if self.relative else 1.0)
         freedom = max(fit.freedom, 0.0)
         square = (_POOL_WEIGHT * expected**2 + fit.residual_squares) / (_POOL_WEIGHT + freedom)
-        excess = np.sqrt(fit.residual_squares / freedom) / expected if freedom > 3 else 1.0
-        return float(np.sqrt(square)), float(excess)
+        return float(np.sqrt(square)), float(np.sqrt(fit.residual_squares / freedom) / expected if freedom > 3 else 1.0)
 
 
 def _reading(each: Recorded, found: Followed, errors: PhaseErrors, excess: float) -> Reading:
@@ -329,8 +327,7 @@ def _turns(fit: Fit) -> Floats:
     least = 3.0 * fit.change[1] + 1e-3
     # The smallest swing goes first, with the turn that ends it, until all that is left is certain.
     while turns:
-        lengths = series(np.array([-1.0, *turns, 1.0]))
-        swings = np.abs(np.diff(lengths))
+        swings = np.abs(np.diff(series(np.array([-1.0, *turns, 1.0]))))
         i = int(np.argmin(swings))
         if swings[i] > least:
             break
@@ -340,11 +337,9 @@ def _turns(fit: Fit) -> Floats:
 
 def _density(samples: Samples, profile: Floats, phase_per_um: float) -> tuple[float, float]:
     """Samples a fringe along a profile: on average over the moving part, and where it is least dense."""
-    lengths = lengths_at(profile, samples.s)
-    turned = np.abs(np.diff(lengths)) * phase_per_um / (2.0 * np.pi)
+    turned = np.abs(np.diff(lengths_at(profile, samples.s))) * phase_per_um / (2.0 * np.pi)
     moving = np.abs(np.diff(samples.s)) > 0.05 * 2.0 / len(samples)
-    passed = float(turned.sum())
-    fast = float(np.quantile(turned, 0.98)) if len(turned) else 0.0
+    passed, fast = float(turned.sum()), float(np.quantile(turned, 0.98)) if len(turned) else 0.0
     return (float(moving.sum()) / passed if passed > 0 else np.inf), (1.0 / fast if fast > 0 else np.inf)
 
 

@@ -25,10 +25,7 @@ _FEW_FRINGES = 4.0
 
 
 def find_profiles(samples: Samples, profile: DisplacementProfile, phase_per_um: float, most: int = 8) -> Floats:
-    """Coefficients (m, DEGREE) in um of courses that may have made the signal, best first.
-
-    A profile and its mirror image, which make the same signal, count as one.
-    """
+    """Coefficients (m, DEGREE) in um of courses that may have made the signal, best first, mirror images once."""
     # A prior of courses has its slope with what goes with it, and its largest bend beside it.
     covariance, mean = profile.covariance, profile.mean
     slope = covariance[:, 0] / covariance[0, 0]

@@ -42,11 +42,7 @@ def solve(
     mirror_light: float = 0.0,
     fading: Nuisance = LIVELY,
 ) -> FringeSolution | None:
-    """Find the profiles that explain a signal; None where nothing resembles a fringe.
-
-    noise: sd of one reading in V to begin with; None takes a hundredth of half the signal's range. fading: what the
-    signal may do beside its fringes where it does not stay calm.
-    """
+    """Profiles that explain a signal, or None; noise: sd of a reading in V; fading: what else the signal may do."""
     found = find_profiles(samples, profile, phase_per_um)
     if len(found) == 0:
         return None
@@ -102,8 +98,7 @@ def rescaled(solution: FringeSolution, noise: float) -> FringeSolution:
 
 def path_fringes(profile: Floats, phase_per_um: float, grid: Floats = _GRID) -> float:
     """Fringes that pass along a profile (DEGREE,), those that pass back included."""
-    lengths = lengths_at(profile, grid)
-    return float(np.abs(np.diff(lengths)).sum() * phase_per_um / (2.0 * np.pi))
+    return float(np.abs(np.diff(lengths_at(profile, grid))).sum() * phase_per_um / (2.0 * np.pi))
 
 
 def noise_of(fit: Fit, before: float) -> float:

@@ -52,8 +52,7 @@ def expected_lengths(cell: Cell, q: Floats) -> tuple[Floats, Floats]:
     parameters = ParameterSet(p for p in cell.parameters if p.prior_sd > 0)
     model = CavityModel.of(cell, parameters)
     lengths, jacobian = model.predict_with_jacobian(parameters.nominal, model.pose_rows(q))
-    sds = np.array([p.prior_sd for p in parameters])
-    return np.abs(lengths), np.asarray(np.linalg.norm(jacobian * sds, axis=1))
+    return np.abs(lengths), np.asarray(np.linalg.norm(jacobian * np.array([p.prior_sd for p in parameters]), axis=1))
 
 
 def read_wavelength_scan(
@@ -65,13 +64,8 @@ def read_wavelength_scan(
     noise: float | None = None,
     full_scale: float | None = None,
 ) -> ScanReading:
-    """Read the absolute cavity length near `expected` um; it and its sd are widened.
-
-    air: its temperature in deg C, pressure in hPa and humidity in %, without all three of which its index is 1. noise:
-    sd of one sample in V to begin with.
-    """
-    index = air_index(scan.wavelength, *air)
-    wave_number = index / scan.wavelength
+    """The length near `expected` um, both widened; air: deg C, hPa, % (else index 1); noise: sd of a sample in V."""
+    wave_number = air_index(scan.wavelength, *air) / scan.wavelength
     middle, half = wave_number[[0, -1]].mean(), abs(wave_number[-1] - wave_number[0]) / 2.0
     s = (wave_number - middle) / half
     samples = Samples(s, s, scan.irradiance, np.ones(len(scan)))

@@ -26,8 +26,7 @@ def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
 
     columns = [c.split("_") for c in cell.joint_columns]
     for q, end in ((sweeps.q_start, "start"), (sweeps.q_end, "end")):
-        names = [f"{joint}_{end}_{unit}" for joint, unit in columns]
-        check_joints(cell, q, sweeps.file, sweeps.rows.tolist(), names)
+        check_joints(cell, q, sweeps.file, sweeps.rows.tolist(), [f"{joint}_{end}_{unit}" for joint, unit in columns])
     alike: dict[str, str] = {}
     for name in sweeps.sessions:
         other = alike.setdefault(" ".join(name.casefold().split()), name)
@@ -40,8 +39,7 @@ def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
     shared = (sweeps.group != "") & sweeps.absolute
     refuse(shared, "group", "an absolute length has no start to share, expected no group")
 
-    unpaired = np.isnan(sweeps.t_start_h) != np.isnan(sweeps.t_end_h)
-    refuse(unpaired, "t_end_h", "expected t_start_h and t_end_h together")
+    refuse(np.isnan(sweeps.t_start_h) != np.isnan(sweeps.t_end_h), "t_end_h", "expected t_start_h and t_end_h together")
     refuse(sweeps.t_end_h < sweeps.t_start_h, "t_end_h", "expected a time at or after t_start_h")
     signs = {text: len(text) == len(cell.joints) and set(text) <= set("+-0") for text in set(sweeps.approach.tolist())}
     bad = np.array([bool(text) and not signs[text] for text in sweeps.approach.tolist()])
@@ -77,8 +75,7 @@ def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
 def _check_ahead(sweeps: Sweeps, cell: Cell) -> None:
     """Refuse rows of one beam on which the mirror stands behind the fibre."""
     known = np.flatnonzero(sweeps.absolute & (sweeps.dl > 0) & np.isfinite(sweeps.sigma))[:_SCANS]
-    starts = np.where(sweeps.absolute[:, None], sweeps.q_end, sweeps.q_start)
-    poses = np.vstack([starts, sweeps.q_end])
+    poses = np.vstack([np.where(sweeps.absolute[:, None], sweeps.q_end, sweeps.q_start), sweeps.q_end])
     seen = (sweeps.q_end[known], sweeps.dl[known], sweeps.sigma[known])
     parts = [behind_the_fibre(cell, poses[i : i + _AT_ONCE], seen) for i in range(0, len(poses), _AT_ONCE)]
     behind, lengths = map(np.concatenate, zip(*parts, strict=True))

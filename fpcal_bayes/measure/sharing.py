@@ -45,11 +45,7 @@ class Sharing:
         return _blocks(self.reading)
 
     def columns(self, reading: Floats, starts: Floats, ends: Floats) -> Floats:
-        """Effects of the errors that the rows of a block share, each error a column of its block, shape (n, n_shared).
-
-        Of the reading at the start (n,), and of what the joints miss at either end (n, n_joints); without several beams
-        the end's are each row's own, and no columns here.
-        """
+        """Shared effects of the reading (n,) and of joints at either end (n, n_joints), shape (n, n_shared)."""
         if not self.several:
             return np.column_stack([reading, starts])
         spread = [reading[:, None], ends]
@@ -86,10 +82,7 @@ def _blocks(first: Ints) -> list[Ints]:
 
 
 def drive_of_sweeps(sweeps: Sweeps, minutes_per_sweep: float, still: Floats | float = 0.0) -> Drive:
-    """Order, times and directions of approach of the rows, as they stand in the file, session by session.
-
-    A joint whose value changes by no more than `still`, in um or rad (n_joints,), does not move.
-    """
+    """Order, times and approach of rows by session; a joint that moves up to `still`, um or rad (n_joints,), stands."""
     chosen = [sweeps.session == name for name in sweeps.sessions]
     parts = [_of_session(sweeps.take(mine), minutes_per_sweep, still) for mine in chosen]
     if len(parts) == 1:
@@ -130,5 +123,4 @@ def sweep_numbers(sweeps: Sweeps) -> Ints:
     """Number of each row's sweep: neighbouring rows of one group share it, every other row is its own, shape (n,)."""
     new = np.ones(len(sweeps), dtype=bool)
     new[1:] = (sweeps.group[1:] != sweeps.group[:-1]) | (sweeps.group[1:] == "")
-    numbers: Ints = np.cumsum(new).astype(np.int64) - 1
-    return numbers
+    return np.asarray(np.cumsum(new).astype(np.int64) - 1)

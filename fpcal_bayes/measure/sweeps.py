@@ -173,8 +173,7 @@ class Sweeps:
 
     def take(self, chosen: NDArray[Any]) -> "Sweeps":
         """The rows picked by a mask or by positions."""
-        picked = {f.name: getattr(self, f.name)[chosen] for f in fields(self) if f.name != "file"}
-        return replace(self, **picked)
+        return replace(self, **{f.name: getattr(self, f.name)[chosen] for f in fields(self) if f.name != "file"})
 
     def of_session(self, name: str | None = None) -> "Sweeps":
         """The rows of one session, by default the first; of several, with commas between, those of an unchanged cell.

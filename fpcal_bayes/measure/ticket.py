@@ -53,11 +53,7 @@ _NEAR_UM, _NEAR_DEG = 1.0, 0.05
 
 
 def check_measured(ticket: Ticket, measured: Sweeps, cell: Cell) -> int:
-    """How many rows of a ticket were not measured; `InputError` if what was measured is not what the ticket asks for.
-
-    Every row must belong to the ticket's session, lie before it expires, and stand within 1 um and 0.05 deg of a row of
-    the ticket that no other one stands for.
-    """
+    """How many rows of a ticket were not measured; `InputError` unless each measured row stands for another one."""
     planned = seen_by_all(ticket.rows(), cell)
     names = set(planned.session.tolist())
     near = np.tile(np.where(cell.joint_scales == 1.0, _NEAR_UM, np.radians(_NEAR_DEG)), 2)

@@ -57,8 +57,7 @@ class Truth:
     def at(self, time_h: ArrayLike) -> Floats:
         """Values in um and rad at one time, shape (n,), or at m times, shape (m, n)."""
         times = np.asarray(time_h, dtype=float)
-        columns = [np.interp(times, self.times_h, column) for column in self.values.T]
-        return np.stack(columns, axis=-1)
+        return np.stack([np.interp(times, self.times_h, column) for column in self.values.T], axis=-1)
 
     def record(self) -> TruthRecord:
         """The same truth as files hold it."""

@@ -55,8 +55,7 @@ class SweepLimits:
         if self.reach is None:
             return np.ones(len(sweeps), dtype=bool)
         ends = np.stack([sweeps.q_start, sweeps.q_end])
-        inside: Bools = ((ends >= self.reach[0]) & (ends <= self.reach[1])).all(axis=(0, 2))
-        return inside
+        return np.asarray(((ends >= self.reach[0]) & (ends <= self.reach[1])).all(axis=(0, 2)))
 
     def ranges(self, cell: Cell) -> tuple[Floats, Floats]:
         """Lowest and highest value of each joint, shape (n_joints,) each."""
@@ -64,8 +63,7 @@ class SweepLimits:
             return np.array(self.reach[0]), np.array(self.reach[1])
         free = np.where(cell.revolute, self.free_turn, self.free_travel)
         low = np.where(np.isfinite(cell.low), cell.low, -free)
-        high = np.where(np.isfinite(cell.high), cell.high, free)
-        return low, high
+        return low, np.where(np.isfinite(cell.high), cell.high, free)
 
 
 def controllers(cell: Cell) -> list[NDArray[np.int64]]:
@@ -142,10 +140,7 @@ def candidate_sweeps(
 
 
 def visible_ranges(model: CavityModel, values: Floats, limits: SweepLimits) -> tuple[Floats, Floats]:
-    """Lowest and highest value of each joint at which it alone keeps the fringes visible, shape (n_joints,) each.
-
-    A joint that can use less than a hundredth of its range stays where it is.
-    """
+    """Lowest and highest value of each joint (n_joints,) at which it alone keeps fringes; narrow ones stay."""
     low, high = limits.ranges(model.cell)
     home = np.clip(0.0, low, high)
     if not tilts(model, values, home[None])[0] <= limits.tilt:
@@ -172,16 +167,13 @@ def tilts(model: CavityModel, values: Floats, q: Floats) -> Floats:
         return np.max([np.zeros(len(q)), *(tilts(view, values[own], q) for view, own in mirrors)], axis=0)
     normals, _ = model.mirrors(values, q)
     axis = np.asarray(chain.optical_axis(model.cell, model.vector(values)), dtype=float)
-    across = np.linalg.norm(np.cross(normals, axis), axis=1)
-    angle: Floats = np.arctan2(across, np.abs(normals @ axis))
-    return angle
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(normals, axis), axis=1), np.abs(normals @ axis)))
 
 
 def can_be_followed(model: CavityModel, values: Floats, start: Floats, end: Floats, limits: SweepLimits) -> Bools:
     """Whether fringes stay visible and countable on the way from `start` to `end`, each (n, n_joints); shape (n,)."""
     cell = model.cell
-    along = np.linspace(0.0, 1.0, _POINTS)
-    q = start[:, None] + (end - start)[:, None] * along[:, None]
+    q = start[:, None] + (end - start)[:, None] * np.linspace(0.0, 1.0, _POINTS)[:, None]
     flat = q.reshape(-1, q.shape[-1])
     good: Bools = (tilts(model, values, flat) <= limits.tilt).reshape(len(start), -1).all(axis=1)
     for view, own in model.views:
@@ -194,8 +186,7 @@ def can_be_followed(model: CavityModel, values: Floats, start: Floats, end: Floa
 
 def reverses(model: CavityModel, values: Floats, sweeps: Sweeps) -> Bools:
     """Whether a length turns round on the way by half a fringe, (n_draws, n_sweeps); `values` (n_draws, n_free)."""
-    along = np.linspace(0.0, 1.0, _POINTS)
-    q = sweeps.q_start[:, None] + (sweeps.q_end - sweeps.q_start)[:, None] * along[:, None]
+    q = sweeps.q_start[:, None] + (sweeps.q_end - sweeps.q_start)[:, None] * np.linspace(0.0, 1.0, _POINTS)[:, None]
     many, turned = np.atleast_2d(values), []
     for view, own in model.views:
         lengths = view.predict(many[:, own], view.pose_rows(q.reshape(-1, q.shape[-1])))
@@ -212,8 +203,7 @@ def _draw(
     n_joints = len(cell.joints)
     start = rng.uniform(low, high, (n, n_joints))
     where = rng.random((n, n_joints))
-    side = np.where(rng.random((n, n_joints)) < 0.5, low, high)
-    start = np.where(where < _AT_END, side, start)
+    start = np.where(where < _AT_END, np.where(rng.random((n, n_joints)) < 0.5, low, high), start)
     start = np.where((where >= _AT_END) & (where < _AT_END + _AT_ZERO), np.clip(0.0, low, high), start)
 
     moved = np.zeros((n, n_joints), dtype=bool)
@@ -222,11 +212,9 @@ def _draw(
         together = np.zeros((n_joints, n_joints), dtype=bool)
         for group in controllers(cell):
             together[np.ix_(group, group)] = True
-        joined = (moved @ together) & (rng.random((n, n_joints)) < 0.5)
-        moved |= joined & (rng.random(n) < 2.0 * _SEVERAL)[:, None]
+        moved |= (moved @ together) & (rng.random((n, n_joints)) < 0.5) & (rng.random(n) < 2.0 * _SEVERAL)[:, None]
     whole = (rng.random(n) < _WHOLE)[:, None]
-    other = np.where(rng.random((n, n_joints)) < 0.5, low, high)
-    first = np.where(whole, other, rng.uniform(low, high, (n, n_joints)))
+    first = np.where(whole, np.where(rng.random((n, n_joints)) < 0.5, low, high), rng.uniform(low, high, (n, n_joints)))
     last = np.where(whole, low + high - first, rng.uniform(low, high, (n, n_joints)))
     start, end = np.where(moved, first, start), np.where(moved, last, start)
     enough = long_enough(end - start, high - low)
@@ -235,5 +223,4 @@ def _draw(
 
 def long_enough(moves: Floats, widths: Floats) -> Bools:
     """Whether one joint at least uses a fair part of its range; joints that cannot move do not count."""
-    share = np.abs(moves) / np.where(widths > 0, widths, np.inf)
-    return share.max(axis=1) >= _SHORTEST
+    return (np.abs(moves) / np.where(widths > 0, widths, np.inf)).max(axis=1) >= _SHORTEST

@@ -24,8 +24,7 @@ _FAR_TURN = 10.0
 def commission_plan(cell: Cell) -> Sweeps:
     """Sweeps to commission a cell with, as a plan; `InputError` if the mirror is out of sight at joint zero."""
     n, rng = len(cell.joints), np.random.default_rng(0)
-    model = CavityModel.of(cell)
-    ranges = visible_ranges(model, cell.free.nominal, SweepLimits().within_envelope(*prior_draws(cell)))
+    ranges = visible_ranges(CavityModel.of(cell), cell.free.nominal, SweepLimits().within_envelope(*prior_draws(cell)))
     # Whatever the side, the moves stay inside.
     room = np.minimum(ranges[1], -ranges[0]) / cell.joint_scales
     turn = np.where(room > _FAR_TURN, _SPIN, _TILT)

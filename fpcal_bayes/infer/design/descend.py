@@ -104,8 +104,7 @@ def _part_descended(
         return at(x).value(chosen) / abs(first)
 
     def slope(x: Floats) -> Floats:
-        criterion = at(x)
-        by_rows = criterion.slope(chosen)[:, :n, :, : made.root.shape[1]]
+        by_rows = at(x).slope(chosen)[:, :n, :, : made.root.shape[1]]
         return space.slope(made.slope(space.sweeps(x), by_rows, space.steps)) / abs(first)
 
     visible = optimize.NonlinearConstraint(
@@ -157,16 +156,14 @@ class _Space:
 
     def at(self, sweeps: Sweeps) -> Floats:
         """Coordinates of sweeps, shape (n_coordinates,)."""
-        ends = np.stack([sweeps.q_start, sweeps.q_end], axis=1)
-        joints = ends[self.sweep_of, self.end_of, self.joint_of]
+        joints = np.stack([sweeps.q_start, sweeps.q_end], axis=1)[self.sweep_of, self.end_of, self.joint_of]
         return (joints - self.low[self.joint_of]) / self.width[self.joint_of]
 
     def sweeps(self, x: Floats) -> Sweeps:
         """The plan at coordinates."""
         ends = np.stack([self.plan.q_start, self.plan.q_end], axis=1)
         ends[self.sweep_of, self.end_of, self.joint_of] = self.low[self.joint_of] + x * self.width[self.joint_of]
-        end = np.where(self.moving, ends[:, 1], ends[:, 0])
-        return replace(self.plan, q_start=ends[:, 0], q_end=end)
+        return replace(self.plan, q_start=ends[:, 0], q_end=np.where(self.moving, ends[:, 1], ends[:, 0]))
 
     @property
     def steps(self) -> Floats:
@@ -176,8 +173,7 @@ class _Space:
     def slope(self, by_ends: Floats) -> Floats:
         """Derivatives by the coordinates from those by the ends (2, n_sweeps, n_joints), shape (n_coordinates,)."""
         start = np.where(self.moving, by_ends[0], by_ends.sum(axis=0))
-        slope = np.stack([start, by_ends[1]])[self.end_of, self.sweep_of, self.joint_of]
-        return slope * self.width[self.joint_of]
+        return np.stack([start, by_ends[1]])[self.end_of, self.sweep_of, self.joint_of] * self.width[self.joint_of]
 
     def tilts(self, sweeps: Sweeps) -> Floats:
         """Tilt of the mirror at the starts, then at the ends, in rad, shape (2 n,)."""

@@ -46,8 +46,7 @@ def most_useful_first(criterion: Criterion, chosen: tuple[int, ...]) -> tuple[in
     found: list[int] = []
     while len(found) < len(chosen):
         rest = [index for index in chosen if index not in found]
-        values = criterion.if_added(found, np.array(rest, dtype=np.int64))
-        found.append(rest[int(np.argmin(values))])
+        found.append(rest[int(np.argmin(criterion.if_added(found, np.array(rest, dtype=np.int64))))])
     return tuple(found)
 
 

@@ -52,8 +52,7 @@ class Design:
             n = root.shape[1]
         base = None
         if known is not None:
-            identity = np.broadcast_to(np.eye(n), (n_draws, n, n))
-            base = np.linalg.qr(np.concatenate([identity, known], axis=1), mode="r")
+            base = np.linalg.qr(np.concatenate([np.broadcast_to(np.eye(n), (n_draws, n, n)), known], axis=1), mode="r")
         return cls(np.ascontiguousarray(rows), np.ascontiguousarray(points), tuple(tasks), of_point, base)
 
     @property
@@ -70,14 +69,10 @@ class Design:
 
     def task_variance(self, chosen: Sequence[int]) -> Floats:
         """Variance at every task point after the chosen candidates, in um^2, shape (n_draws, n_points)."""
-        scaled = self.tasks @ self.roots(chosen)
-        return (scaled**2).sum(axis=-1)
+        return ((self.tasks @ self.roots(chosen)) ** 2).sum(axis=-1)
 
     def worst_points(self, chosen: Sequence[int]) -> tuple[Floats, Floats]:
-        """Variance of each task's worst point after the chosen candidates, in um^2, shape (n_draws, n_tasks).
-
-        Beside it the covariance times the derivatives of that point, shape (n_draws, n_tasks, n).
-        """
+        """Variance of worst points, um^2, (n_draws, n_tasks), and covariance times their derivatives, (.., n)."""
         n_draws, n, n_tasks, key = len(self.rows), self.n_parameters, len(self.names), tuple(chosen)
         if key not in self._left:
             variance, directions = np.empty((n_draws, n_tasks)), np.empty((n_draws, n_tasks, n))
@@ -126,11 +121,7 @@ class Design:
         return np.array([(part.max(axis=1) if worst else part.mean(axis=1)).mean() for part in of_task])
 
     def if_added(self, chosen: Sequence[int], among: Ints | None = None, *, worst: bool = True) -> Floats:
-        """Expected task variances if each candidate were added to those chosen, in um^2, shape (n_candidates, n_tasks).
-
-        Candidates are those at the positions `among`, by default all. The `worst` point of each task counts, else the
-        mean over its points.
-        """
+        """Task variances, um^2, if each candidate `among` all joined, (n, n_tasks): of `worst` points or means."""
         rows = self.rows if among is None else self.rows[:, among]
         n_draws, n_candidates, k, n = rows.shape
         left = np.zeros((n_candidates, len(self.names)))
@@ -146,10 +137,7 @@ class Design:
 
 @dataclass(frozen=True)
 class Criterion:
-    """Expected variance of the worst task at its worst point, or with `mean` averaged over points and tasks.
-
-    The first is that of each task that G-optimal plans make small, the second that of I-optimal ones.
-    """
+    """Expected variance of the worst task's worst point (G-optimal), or with `mean` of all (I-optimal)."""
 
     design: Design
     reference: Floats  # standard deviation in um that each task is judged by, shape (n_tasks,)

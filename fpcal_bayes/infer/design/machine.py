@@ -38,11 +38,7 @@ class Machine:
         return np.flatnonzero(self.terms.reversal > 0).astype(np.int64)
 
     def rows(self, poses: Floats) -> Floats:
-        """What the state adds to sweeps at poses (n_sweeps, places, n_joints), beam by beam.
-
-        The readings are approached along the sweep, its start from an unknown side (see `noise`). Shape (n_sweeps,
-        n_beams (places - 1), n).
-        """
+        """What the state adds at poses (n_sweeps, places, n_joints), (n_sweeps, n_beams (places - 1), n), by beam."""
         sides, parts = np.sign(poses[:, -1] - poses[:, 0])[:, None], []
         for at, drive in self._columns(poses):
             columns = np.concatenate([at[:, 1:] - at[:, :1], (drive * self.terms.reversal)[:, 1:] * sides], axis=-1)
@@ -76,8 +72,7 @@ class Machine:
         kept = [np.where(moved, 0.0, part[:, :, 1:] - part[:, :, :1]) for part in (reached, lost)]
         common = np.concatenate([started, *kept], axis=-1)
         common = common.reshape(len(poses), -1, common.shape[-1])
-        share = np.arange(1, k + 1) / k
-        drift = 0.5e-3 * terms.sizes.drift_nm_per_min * terms.sizes.minutes_per_sweep * share
+        drift = 0.5e-3 * terms.sizes.drift_nm_per_min * terms.sizes.minutes_per_sweep * (np.arange(1, k + 1) / k)
         noise: Floats = common @ common.transpose(0, 2, 1) + np.kron(np.eye(drive.shape[1]), np.outer(drift, drift))
         return noise + felt_alike(ends[:, :, 1:])
 
@@ -106,15 +101,10 @@ class Machine:
 
 
 def felt_alike(felt: Floats) -> Floats:
-    """Covariance of rows that feel errors of the joints at their places, alike for all beams, anew at each place.
-
-    `felt` (n_sweeps, n_beams, places, n_joints); returns (n_sweeps, n_beams places, n_beams places), beam by beam.
-    """
+    """Covariance by joint errors `felt` (n_sweeps, n_beams, places, n_joints), beam by beam, anew at each place."""
     n, beams, k, _ = felt.shape
     shared = (felt[:, :, None] * felt[:, None]).sum(axis=-1)
-    spread = shared.swapaxes(2, 3)[..., None] * np.eye(k)[:, None]
-    result: Floats = spread.reshape(n, beams * k, beams * k)
-    return result
+    return np.asarray((shared.swapaxes(2, 3)[..., None] * np.eye(k)[:, None]).reshape(n, beams * k, beams * k))
 
 
 def motions_of_path(terms: Terms, vector: Floats, start: Floats, q: Floats) -> tuple[Floats, Floats]:

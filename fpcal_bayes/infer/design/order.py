@@ -10,11 +10,7 @@ from fpcal_bayes.model.joint_path import travel_seconds
 
 
 def in_short_order(cell: Cell, sweeps: Sweeps) -> Sweeps:
-    """Sweeps of a plan ordered and turned round such that the way between them is short.
-
-    A sweep tells the same from either end. From joint vector zero the nearest end is taken each time; then parts of the
-    way are turned round while that shortens it (2-opt, Croes 1958).
-    """
+    """Sweeps in a short order: the nearest end each time from zero, then parts turned round (2-opt, Croes 1958)."""
     ends = np.stack([sweeps.q_start, sweeps.q_end])
     order, turned = _nearest(cell, ends)
     while True:

@@ -75,20 +75,13 @@ class Frontier:
 
     @property
     def knee(self) -> int:
-        """Position of the plan farthest below the straight line between the ends (Satopaa et al. 2011).
-
-        Both axes are logarithmic: before it sweeps gain more than on the average of the frontier, after it less.
-        """
+        """Plan farthest below the line between the ends, both axes logarithmic (Satopaa et al. 2011)."""
         x, y = np.log([[float(point.sweeps) for point in self.points], self.excess])
         return int(np.argmax(np.interp(x, x[[0, -1]], y[[0, -1]]) - y))
 
 
 class Planner:
-    """Searches for plans on one ground.
-
-    Each task is judged by its standard deviation over that in `tolerances`, in um, by default all alike. `tell` is
-    called with the share of the work of a plan that is done.
-    """
+    """Searches for plans on one ground, judged by `tolerances` in um; `tell` takes the share of work done."""
 
     def __init__(
         self,
@@ -99,8 +92,7 @@ class Planner:
     ) -> None:
         self.ground, self.tell = ground, tell
         settings = PlanSettings() if settings is None else settings
-        limits = settings.limits.within_envelope(ground.model, ground.draws)
-        self.settings = settings = replace(settings, limits=limits)
+        self.settings = settings = replace(settings, limits=settings.limits.within_envelope(ground.model, ground.draws))
         self._tolerances = tolerances
         self.reference = reference_of(tuple(ground.goals.jacobians), tolerances)
         self.candidates = candidate_sweeps(
@@ -115,8 +107,7 @@ class Planner:
     @property
     def _centre(self) -> Floats:
         """Values of the cell's own free parameters at which visibility is judged."""
-        vector = self.ground.model.vector(self.ground.centre)
-        return vector[self.ground.cell.free.slots]
+        return self.ground.model.vector(self.ground.centre)[self.ground.cell.free.slots]
 
     def judge(self, sweeps: Sweeps, ground: Ground | None = None) -> Criterion:
         """The criterion over sweeps as candidates, by default over all draws."""
@@ -270,11 +261,7 @@ class Planner:
         )
 
     def fewest(self, *, most: int = 69, check: Ground | None = None) -> ChosenSweeps:
-        """The fewest sweeps that are found, up to `most`, that keep to the tolerances on the ground `check`.
-
-        Numbers are halved between one that a greedy search shows to be enough and one that is not. `InputError` says
-        the best if no number up to `most` meets the target.
-        """
+        """The fewest sweeps found by halving, up to `most`, that keep to the tolerances on `check`, or `InputError`."""
         check = self.ground if check is None else check
         readings, sigma = self.settings.readings, self.settings.sigma
 

@@ -103,8 +103,7 @@ def _at(
 ) -> Iterator[tuple[Floats, Floats, Floats]]:
     """Derivatives of each task's points by the free parameters, what error motions add, and the joints' reach."""
     starts = np.concatenate([np.repeat(task.start[None], len(task), axis=0) for task in paths])
-    rows = model.rows(starts, np.concatenate([task.q for task in paths]))
-    _, jacobian = model.predict_with_jacobian(values, rows)
+    _, jacobian = model.predict_with_jacobian(values, model.rows(starts, np.concatenate([task.q for task in paths])))
     for task, part in zip(paths, np.split(jacobian, np.cumsum([len(task) for task in paths])[:-1]), strict=True):
         motions = np.zeros((len(task), 0))
         if terms is not None:
@@ -115,10 +114,7 @@ def _at(
 
 @dataclass(frozen=True)
 class Ground:
-    """Knowledge before the planned sweeps.
-
-    What is unknown is a state of unit covariance: the free parameters, and with mechanics the error motions.
-    """
+    """Knowledge before the planned sweeps: a state of unit covariance, free parameters and error motions."""
 
     model: CavityModel  # model of the parameters that are not known exactly
     centre: Floats  # where visibility and fringe rate are judged, shape (n_free,), in um and rad
@@ -170,18 +166,14 @@ class Ground:
 
     def design(self, sweeps: Sweeps, *, readings: int, sigma: float) -> Design:
         """The sweeps as candidates, each by itself."""
-        rows = self.padded(self.sweep_rows(readings, sigma).of(sweeps))
-        return Design.of(rows, self.tasks, known=self.known)
+        return Design.of(self.padded(self.sweep_rows(readings, sigma).of(sweeps)), self.tasks, known=self.known)
 
     def padded(self, rows: Floats) -> Floats:
         """Rows with nothing of what no sweep tells."""
         return rows if self.machine is None else np.pad(rows, ((0, 0),) * (rows.ndim - 1) + ((0, 1),))
 
     def expected_sd(self, sweeps: Sweeps | None, *, readings: int = 2, sigma: float = 0.005) -> dict[str, float]:
-        """Worst-point standard deviation of each task in um, the root of its mean variance over the draws.
-
-        `sweeps` are a plan that is measured as a whole in its order, or None for what is known without one.
-        """
+        """Worst-point sd of each task in um over the draws, after a whole plan in its order, or None: without one."""
         each = self.sd_at_draws(sweeps, readings=readings, sigma=sigma)
         return {name: float(np.sqrt(np.mean(sd**2))) for name, sd in each.items()}
 
@@ -209,8 +201,7 @@ class Ground:
         used = replace(sweeps, sigma=np.where(np.isfinite(sweeps.sigma), sweeps.sigma, sigma))
         if self.machine is None:
             return plan_rows(self.model, self.goals.values, used) @ self.root
-        rows = used.laid_out(self.model)
-        _, jacobian = self.model.predict_with_jacobian(self.goals.values, rows)
+        _, jacobian = self.model.predict_with_jacobian(self.goals.values, used.laid_out(self.model))
         return self.padded(self.machine.whitened(used, jacobian @ self.root))
 
     def at_draws(self, chosen: Ints) -> "Ground":
@@ -237,10 +228,7 @@ def prior_ground(
     seed: int = 0,
     values: Floats | None = None,
 ) -> Ground:
-    """A cell before its first calibration: its prior, averaged over `draws` quasi-random draws of it (Sobol 1967).
-
-    With `values` (n_draws, n_free) it is linearised there.
-    """
+    """A cell before its first calibration: averaged over `draws` of its prior (Sobol 1967), or `values`."""
     model, free = CavityModel.of(cell), cell.free
     if values is None:
         engine = qmc.MultivariateNormalQMC(np.zeros(len(free)), seed=np.random.default_rng(seed))
@@ -297,11 +285,7 @@ def measured_ground(
     draws: int = 64,
     seed: int = 0,
 ) -> Ground:
-    """A cell after measured sweeps, which an estimate was made of: the prior and these sweeps, where it may be.
-
-    Few sweeps leave the cell so uncertain that what they and others tell differs from one place to the next: both are
-    linearised at draws of the estimate. With mechanics the estimate itself counts, for it knows the sizes.
-    """
+    """A cell after measured sweeps: these and the prior, at draws of the estimate, which counts with mechanics."""
     if estimate.mechanics is not None:
         return estimate_ground(estimate, tasks=tasks, radius=radius)
     values = normal_draws(estimate.values, estimate.covariance, draws, seed)

@@ -68,11 +68,7 @@ class SweepRows:
         return self._whitening(poses) @ rows
 
     def slope(self, sweeps: Sweeps, by_rows: Floats, steps: Floats) -> Floats:
-        """Derivative of a value by the ends of the sweeps, shape (2, n_sweeps, n_joints), given that by their rows.
-
-        `steps` (n_joints,) are those of differences. That the noise of the joints depends on where they stand is left
-        out.
-        """
+        """Derivative by sweep ends, (2, n_sweeps, n_joints), from that by rows; `steps` (n_joints,) of differences."""
         poses = self._poses(sweeps)
         n_sweeps, places, n_joints = poses.shape
         pulls = self._whitening(poses).transpose(0, 2, 1) @ by_rows

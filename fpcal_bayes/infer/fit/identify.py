@@ -205,15 +205,13 @@ def identify(
             others = distinct_minima(problem, solution, [minimise(problem, other.unknowns) for other in others])
             rival = second_solution(model.free.names, solution, others)
     solution = lost or solution
-    unknowns = solution.unknowns
-    own = model.free.positions(chosen.names)
+    unknowns, own = solution.unknowns, model.free.positions(chosen.names)
     spectrum = spectrum_of(problem.prior_scaled_jacobian(unknowns)[:, own])
     covariance = problem.covariance(unknowns) if machine is None else covariance_of(machine)
     covariance = spread_over(problem, covariance, solution, others)
     status = statuses(spectrum.null_share, np.diag(covariance)[own] / problem.prior.sd[own] ** 2)
     by_name = dict(zip(chosen.names, status, strict=True))
-    fit = goodness_of_fit(problem, unknowns)
-    noise_only = fit
+    noise_only = fit = goodness_of_fit(problem, unknowns)
     if machine is not None:
         # A machine that is better than its sheet leaves the rows closer to the fit than expected; not so the readings.
         ideal = replace(problem, model=replace(problem.model, cell=cell.ideal), log_scales=None)

@@ -127,8 +127,7 @@ def newton_step(problem: Problem, unknowns: Floats, residuals: Floats) -> Floats
     width = 1e-4
     shifts = width * np.eye(len(unknowns))
     ahead, behind = np.split(problem.gradients(unknowns + np.concatenate([shifts, -shifts])), 2)
-    hessian = (ahead - behind) / (2 * width)
-    eigenvalues, vectors = linalg.eigh(symmetric(hessian))
+    eigenvalues, vectors = linalg.eigh(symmetric((ahead - behind) / (2 * width)))
     gradient = problem.jacobian(unknowns).T @ residuals
     step: Floats = -vectors @ ((vectors.T @ gradient) / np.maximum(np.abs(eigenvalues), 1e-3))
     length = float(np.linalg.norm(step))

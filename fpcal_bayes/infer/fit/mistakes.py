@@ -121,11 +121,9 @@ def mistakes(cell: Cell, sweeps: Sweeps) -> Iterator[Mistake]:
     groups: list[tuple[int, ...]] = [(j,) for j in range(n)]
     groups += [tuple(np.flatnonzero(kind).tolist()) for kind in (~cell.revolute, cell.revolute) if kind.sum() > 1]
     for joints in groups:
-        turning = bool(cell.revolute[joints[0]])
-        for factor, size in (_ANGLES if turning else _LENGTHS).items():
+        for factor, size in (_ANGLES if cell.revolute[joints[0]] else _LENGTHS).items():
             what = f"{_listed([names[j] for j in joints])} stand{'s' * (len(joints) == 1)} {size}"
-            scaled = np.diag([factor if j in joints else 1.0 for j in range(n)])
-            found.append(Mistake(what, posed(scaled), joints))
+            found.append(Mistake(what, posed(np.diag([factor if j in joints else 1.0 for j in range(n)])), joints))
     yield from (one for one in found if within(one.sweeps))
     lengths = {-1.0: "dl_um has the other sign, or starts and ends are exchanged", 1e3: "dl_um stands in mm",
                1e-3: "dl_um stands in nm", 2.0: "dl_um is half of dL", 0.5: "dl_um is twice dL"}  # fmt: skip
@@ -210,11 +208,10 @@ def axis_rivals(problem: Problem, solution: Solution) -> list[Reason]:
 def _axis_rivals(problem: Problem, solution: Solution) -> list[Reason]:
     sweeps, cell = problem.sweeps, problem.model.cell
     known = sweeps.signed | sweeps.absolute
-    sets = axis_sets(cell, (sweeps.q_start != sweeps.q_end).any(axis=0))
     if not solution.converged:
         return []
     told = []
-    for axes in sets:
+    for axes in axis_sets(cell, (sweeps.q_start != sweeps.q_end).any(axis=0)):
         way = np.ones(len(cell.joints))
         way[list(axes)] = -1.0
         # The whitening stays: that of another machine hardly differs where it fits as well.
@@ -223,8 +220,7 @@ def _axis_rivals(problem: Problem, solution: Solution) -> list[Reason]:
         near = _quick(other, solution.unknowns, _NEAR_STEPS)
         for _ in range(0 if known.all() else _SIGN_ROUNDS):
             # Rows without sign take that which this machine gives them.
-            predicted = problem.model.predict(problem.values(near.unknowns), rows)
-            other = other.with_target(signed_as(problem, predicted))
+            other = other.with_target(signed_as(problem, problem.model.predict(problem.values(near.unknowns), rows)))
             near = _quick(other, near.unknowns, _NEAR_STEPS)
         if near.sum_of_squares > solution.sum_of_squares + _WORTH * len(sweeps):
             continue

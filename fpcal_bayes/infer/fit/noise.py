@@ -36,8 +36,7 @@ class Batch:
         own = 1.0 / own_sd[members]
         shared = common[members] * own[..., None]
         products = shared[..., :, None] * shared[..., None, :]
-        before = np.pad(products[:, :-1], ((0, 0), (1, 0), (0, 0), (0, 0)))
-        known = np.eye(shared.shape[-1]) + np.cumsum(before, axis=1)
+        known = np.eye(shared.shape[-1]) + np.cumsum(np.pad(products[:, :-1], ((0, 0), (1, 0), (0, 0), (0, 0))), axis=1)
         gain = np.linalg.solve(known, shared[..., None])[..., 0]
         return cls(members, own, shared, gain, 1.0 / np.sqrt(1.0 + (shared * gain).sum(axis=-1)))
 
@@ -119,8 +118,7 @@ class Whitening(Brief):
 
     def scaled(self, factor: float) -> "Whitening":
         """The whitening of rows whose errors are `factor` times as large."""
-        batches = tuple(replace(batch, own=batch.own / factor) for batch in self.batches)
-        return Whitening(self.scale / factor, batches)
+        return Whitening(self.scale / factor, tuple(replace(batch, own=batch.own / factor) for batch in self.batches))
 
     def unwhiten(self, rows: Floats) -> Floats:
         """Undo `apply` on the columns of a matrix (n_rows, n)."""
@@ -165,10 +163,7 @@ def whitening_of(model: CavityModel, sweeps: Sweeps, values: Floats) -> Whitenin
 def shared_whitening(
     sharing: Sharing, sigma: Floats, absolute: Bools, starts: Floats, ends: Floats, stated: Floats
 ) -> Whitening:
-    """Whitening of rows with readings `sigma` (n,) and what joints miss at start and end, shape (n, n_joints) each.
-
-    `stated` is what rows say that they share with their group beside `sigma`, shape (n, n_stated).
-    """
+    """Whitening of rows: `sigma` (n,), misses of joints at both ends (n, n_joints), `stated` (n, n_stated)."""
     missed = (ends**2).sum(axis=1)
     variance = sigma**2 + missed + (starts**2).sum(axis=1) + (stated**2).sum(axis=1)
     # Of a group's rows: half of the reading's variance and the joints at the start are common.

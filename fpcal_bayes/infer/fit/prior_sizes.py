@@ -76,8 +76,7 @@ def _likely(problem: Problem, at: Floats, blocks: list[tuple[str, NDArray[np.int
         """Least cost, with the factors of all others at one, and the logarithms."""
         if not len(first):
             return cost(first, directions), first
-        ends = [(-_FARTHEST, _FARTHEST)] * len(first)
-        found = optimize.minimize(cost, first, args=(directions,), bounds=ends)
+        found = optimize.minimize(cost, first, args=(directions,), bounds=[(-_FARTHEST, _FARTHEST)] * len(first))
         return float(found.fun), found.x
 
     chosen, log = list(range(len(blocks))), np.zeros(len(blocks))

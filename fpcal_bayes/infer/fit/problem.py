@@ -148,8 +148,7 @@ class Problem(Brief):
         whitening = row_whitening(self.model, self.sweeps, values, self.log_scales)
         sensitivity = None
         if self.considered is not None:
-            vector = self.model.vector(values)
-            held = self.considered.parameters
+            held, vector = self.considered.parameters, self.model.vector(values)
             around = CavityModel.of(self.model.cell, held, vector)
             _, jacobian = around.predict_with_jacobian(vector[held.slots], self.rows)
             sensitivity = jacobian @ self.considered.factor
@@ -249,8 +248,7 @@ class Problem(Brief):
         if self.considered is None:
             return symmetric(transform @ scaled @ transform.T)
         # x = K (y - f(x, c0)): the free error is -K e - K J_c dc, so its covariance with dc is -K J_c P_c.
-        gain = scaled[:n] @ jacobian.T
-        cross = -gain @ jacobian[:, n:]
+        cross = -(scaled[:n] @ jacobian.T) @ jacobian[:, n:]
         transform[n:, n:] = self.considered.factor
         scaled[:n, n:], scaled[n:, :n], scaled[n:, n:] = cross, cross.T, np.eye(self.n_unknowns - n)
         return symmetric(transform @ scaled @ transform.T)

@@ -124,13 +124,8 @@ class _Alike:
         return np.asarray(at[self.first] == place)
 
     def odds(self, target: Floats, predicted: Floats, spread: Floats | None = None) -> Floats:
-        """Half the logarithm of the odds that a row's sign is that of `target`, whose rows of one sign have the same.
-
-        predicted: change of each row in um, known but for the noise and what `spread` (n, n_rows), a root of the
-        covariance, adds.
-        """
-        added = 0.0 if spread is None else (spread**2).sum(axis=0)
-        told = target * predicted / (self.variance + added)
+        """Half the log odds of the signs of `target`; predicted: um; spread: a root (n, n_rows) of its covariance."""
+        told = target * predicted / (self.variance + (0.0 if spread is None else (spread**2).sum(axis=0)))
         for rows, noise in self.blocks:
             covariance = noise if spread is None else noise + spread[:, rows].T @ spread[:, rows]
             told[rows] = target[rows] @ np.linalg.solve(covariance, predicted[rows])

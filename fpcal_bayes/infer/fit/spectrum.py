@@ -53,8 +53,7 @@ def spectrum_of(jacobian: Floats) -> Spectrum:
     """Singular value analysis of a whitened Jacobian (n_rows, n) in prior-scaled units."""
     n = jacobian.shape[1]
     # The triangle has the same singular values and is small, however many rows there are.
-    triangle = linalg.qr(jacobian, mode="r")[0][:n]
-    _, found, directions = linalg.svd(triangle, full_matrices=True)
+    _, found, directions = linalg.svd(linalg.qr(jacobian, mode="r")[0][:n], full_matrices=True)
     values = np.zeros(n)
     values[: len(found)] = found
     tolerance = RELATIVE_TOLERANCE * float(values[0]) if n else 0.0
@@ -102,5 +101,4 @@ def goodness_of_fit(problem: Problem, unknowns: Floats) -> GoodnessOfFit:
     weights[: len(shrink)] = 1.0 / (1.0 + shrink**2)
     weights = weights[: len(residuals)] if len(residuals) > len(shrink) else weights
     mean, square = float(weights.sum()), float((weights**2).sum())
-    p_value = chi2_tail(chi2_data * mean / square, mean**2 / square)
-    return GoodnessOfFit(chi2_data, mean, p_value, standardised)
+    return GoodnessOfFit(chi2_data, mean, chi2_tail(chi2_data * mean / square, mean**2 / square), standardised)

@@ -80,8 +80,7 @@ class StudentProblem(Problem):
         return bend(super().data_residuals(unknowns), self.dof)[0]
 
     def data_jacobian(self, unknowns: Floats) -> Floats:
-        slope = bend(super().data_residuals(unknowns), self.dof)[1]
-        return slope[:, None] * super().data_jacobian(unknowns)
+        return bend(super().data_residuals(unknowns), self.dof)[1][:, None] * super().data_jacobian(unknowns)
 
     def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
         residuals, jacobian = super().data_batch(points)
@@ -97,7 +96,6 @@ def robust_minimum(problem: StudentProblem, start: Floats) -> Solution:
     for begin in (start, np.zeros(problem.n_unknowns)):
         unknowns = begin
         for factor in np.geomspace(_WIDEST, 1.0, _STEPS):
-            wider = replace(problem, whitening=problem.whitening.scaled(float(factor)))
-            unknowns = minimise(wider, unknowns).unknowns
+            unknowns = minimise(replace(problem, whitening=problem.whitening.scaled(float(factor))), unknowns).unknowns
         found.append(minimise(problem, unknowns))
     return min(found, key=solution_rank)

@@ -116,8 +116,7 @@ class ModelResult:
         if self.spec.likelihood != "gaussian":
             return self.misfit is not None
         fit = self.identification
-        total = chi2_tail(fit.solution.sum_of_squares, len(fit.problem.target))
-        return min(fit.fit.p_value, total) < POOR_FIT_BELOW
+        return min(fit.fit.p_value, chi2_tail(fit.solution.sum_of_squares, len(fit.problem.target))) < POOR_FIT_BELOW
 
     @property
     def fits(self) -> bool:
@@ -265,10 +264,7 @@ def compare(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Comparison:
-    """Fit and sample each model, `draws` effective draws, and compare predictions; `progress` is told what comes next.
-
-    `InputError` if the sweeps carry no measurement, or a likelihood does not take them.
-    """
+    """Fit and sample each model, `draws` effective draws, and compare; `InputError` if the sweeps do not allow it."""
     fits: dict[tuple[str, str], Identification] = {}
     models = []
     for spec in specs:
@@ -298,8 +294,7 @@ def _sampled(model: ModelResult, draws: int, seed: int) -> ModelResult:
         if likelihood != "gaussian":
             p = known.target.predictive_p(known.equal(draws, random), random)
             model = replace(model, misfit=misfit_of(known.target, p))
-        loo = left_out_each(model.identification, known, likelihood, most_refits=refits, seed=seed)
-        return replace(model, loo=loo)
+        return replace(model, loo=left_out_each(model.identification, known, likelihood, most_refits=refits, seed=seed))
     if model.poor:
         return replace(model, failures=("too few draws of it can be made",))
     posterior = sample(model.identification, draws=draws, likelihood=likelihood, scales_held=True, seed=seed)

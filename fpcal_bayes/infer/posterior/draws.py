@@ -197,5 +197,4 @@ def draws_content(found: Identification, draws: int = N_DRAWS) -> dict[str, Any]
     values = independent_draws(found, draws)
     if not len(values):
         return {"draws": None, "warnings": [*found.warnings, LOST]}
-    shown = np.round(free.to_shown(values), _DIGITS)
-    return {"draws": {"names": list(free.names), "rows": shown.tolist()}}
+    return {"draws": {"names": list(free.names), "rows": np.round(free.to_shown(values), _DIGITS).tolist()}}

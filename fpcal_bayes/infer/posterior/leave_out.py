@@ -132,15 +132,12 @@ def rows_given_others(target: PosteriorTarget, points: Floats) -> Floats:
 def without_row(identification: Identification, row: int) -> Identification | None:
     """Problem and minima of an identification without one row; None if no minimum is found from those with it."""
     problem = identification.problem
-    kept = np.arange(len(problem.target)) != row
-    reduced = problem.take(kept).relinearised(identification.solution.unknowns)
-    known = (identification.solution, *identification.other_minima)
-    found = [minimise(reduced, minimum.unknowns) for minimum in known]
+    reduced = problem.take(np.arange(len(problem.target)) != row).relinearised(identification.solution.unknowns)
+    found = [minimise(reduced, minimum.unknowns) for minimum in (identification.solution, *identification.other_minima)]
     best = min(found, key=solution_rank)
     if not best.converged:
         return None
-    others = distinct_minima(reduced, best, found)
-    return replace(identification, problem=reduced, solution=best, other_minima=others)
+    return replace(identification, problem=reduced, solution=best, other_minima=distinct_minima(reduced, best, found))
 
 
 def _left_out(

@@ -58,8 +58,7 @@ class MachineCharts:
         self.proposal = ScaleProposal.of(self.density, mode, np.random.default_rng(seed))
         minima = all_minima(fit.problem, fit.solution)
         self.references = [minimum.unknowns for minimum in minima]
-        mass = [-0.5 * minimum.sum_of_squares for minimum in minima]
-        shares = np.maximum(special.softmax(mass), 0.1)
+        shares = np.maximum(special.softmax([-0.5 * minimum.sum_of_squares for minimum in minima]), 0.1)
         self.shares: Floats = shares / shares.sum()
         self.evaluations = 0
         self._most_kept = int(np.clip(_NUMBERS_KEPT / len(fit.problem.target) ** 2, 40, 256))
@@ -96,8 +95,7 @@ class MachineCharts:
         level = self.charts(log_scales)[0] - self.proposal.log_density(log_scales)
         drawn, log_drawn = self.proposal.draw(len(log_scales), random)
         found = list(self.density.at(drawn))
-        there = np.array([value for value, _ in found]) - log_drawn
-        moved = np.log(random.random_sample(len(drawn))) < there - level
+        moved = np.log(random.random_sample(len(drawn))) < np.array([value for value, _ in found]) - log_drawn - level
         made = {drawn[i].tobytes(): found[i] for i in np.flatnonzero(moved)}
         return np.where(moved[:, None], drawn, log_scales), made
 
@@ -131,15 +129,13 @@ class MachineCharts:
         for i, each in enumerate(charts):
             if (chosen != i).any():
                 parts[i] = np.where(chosen == i, parts[i], each.log_proposal(own))
-        found = np.isfinite(log_density)
-        log_proposal = np.where(found, self._mixed(parts) + linear, -np.inf)
+        log_proposal = np.where(np.isfinite(log_density), self._mixed(parts) + linear, -np.inf)
         self.evaluations += 4 * count
         return np.hstack([own, log_scales]), log_density + self.prior(log_scales), log_proposal
 
     def _mixed(self, parts: Floats) -> Floats:
         with np.errstate(divide="ignore"):
-            mixed: Floats = special.logsumexp(parts + np.log(self.shares)[:, None], axis=0)
-        return mixed
+            return np.asarray(special.logsumexp(parts + np.log(self.shares)[:, None], axis=0))
 
 
 class MachineMove(Move):  # type: ignore[misc]

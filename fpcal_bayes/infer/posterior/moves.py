@@ -13,11 +13,7 @@ from fpcal_bayes.infer.posterior.target import PosteriorTarget
 
 
 class RandomiseThenOptimiseMove(Move):  # type: ignore[misc]
-    """Metropolis-Hastings with independent proposals from an atlas; those of `ahead` steps are made at once.
-
-    Each walker carries the log density with which the atlas proposes its place (the blob): the step is exact outside
-    every chart, too, where any move inside is refused and another move leads.
-    """
+    """Independent proposals from an atlas, `ahead` steps at once, exact everywhere: blobs hold their log density."""
 
     def __init__(self, atlas: ProposalMixture, ahead: int = 1) -> None:
         self.atlas, self.ahead = atlas, ahead

@@ -230,10 +230,7 @@ def slip_probabilities(posterior: Posterior) -> list[tuple[str, float]] | None:
 
 
 def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
-    """The draws as an ArviZ DataTree, in the units a person reads; of long runs on many rows, likelihoods of some.
-
-    Rows that share a reading have the likelihood of a row given those before it in its group.
-    """
+    """The draws as an ArviZ DataTree, in shown units; a row's likelihood is given those before it in its group."""
     # Importing it takes long: only where it is used. ArviZ's plots, which nothing here needs, would take longer.
     import arviz_base as az
 
@@ -328,6 +325,5 @@ def _pointwise(posterior: Posterior, unknowns: Floats, rng: np.random.Generator)
         if problem.sensitivity is not None:
             mean = mean + unknowns[part, problem.n_free : problem.n_unknowns] @ problem.sensitivity.T
         likelihood[part] = posterior.target.log_likelihoods(unknowns[part])
-        noise = posterior.target.draw_noise(unknowns[part], rng)
-        predicted[part] = mean + problem.whitening.unwhiten(noise.T).T
+        predicted[part] = mean + problem.whitening.unwhiten(posterior.target.draw_noise(unknowns[part], rng).T).T
     return likelihood, predicted

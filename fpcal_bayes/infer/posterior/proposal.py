@@ -102,8 +102,7 @@ class Proposal:
             here = points[active], normal[active], inverse, miss[moving], distance[moving]
             points[active], closer = self._advance(*here)
             active = active[closer]
-        proposal = np.where(inside, determinant + _log_normal(normal), -np.inf)
-        return Solved(points, density, proposal, inside)
+        return Solved(points, density, np.where(inside, determinant + _log_normal(normal), -np.inf), inside)
 
     def _advance(
         self, points: Floats, normal: Floats, inverse: Floats, miss: Floats, distance: Floats
@@ -120,8 +119,7 @@ class Proposal:
             better = trial_distance < distance[going]
             fast = better & (trial_distance < _FAST * distance[going]) & (trial_distance > _SOLVED / 10)
             # Halve a first step that leads too far; a later one that does not pay ends the walk.
-            first = distance[going] == before[going]
-            again = going[~better & first] if attempt < _MOST_HALVINGS else going[:0]
+            again = going[~better & (distance[going] == before[going])] if attempt < _MOST_HALVINGS else going[:0]
             reached, onward = going[better], going[fast]
             points[reached], distance[reached] = trial[better], trial_distance[better]
             step[again] /= 2
@@ -149,8 +147,7 @@ class Proposal:
         candidates = np.flatnonzero((sign > 0) & (np.abs(h) < 30.0).all(axis=1))
         if len(candidates):
             again = self.solve(h[candidates])
-            same = again.inside & (np.abs(again.points - points[candidates]).max(axis=1) < _SAME_POINT)
-            chosen = candidates[same]
+            chosen = candidates[again.inside & (np.abs(again.points - points[candidates]).max(axis=1) < _SAME_POINT)]
             result[chosen] = log_determinant[chosen] + _log_normal(h[chosen])
         return result
 
@@ -176,8 +173,7 @@ def learn_proposals(target: PosteriorTarget, minima: Floats, rng: np.random.Gene
     while len(references) < max(_MOST_CHARTS, len(minima) + 1):
         atlas = ProposalMixture(target, references)
         solved = atlas.propose(rng.standard_normal((_TRIALS, target.n_unknowns)), rng.random(_TRIALS))
-        log_weights = np.full(_TRIALS, -np.inf)
-        found = solved.inside
+        log_weights, found = np.full(_TRIALS, -np.inf), solved.inside
         log_weights[found] = solved.log_density[found] - solved.log_proposal[found]
         log_mean = special.logsumexp(log_weights) - np.log(_TRIALS)
         heaviest = int(np.argmax(log_weights))
@@ -199,8 +195,7 @@ class ProposalMixture:
         self.charts = [Proposal(target, reference) for reference in references]
         # Shares by the mass of each minimum in the Laplace approximation.
         density = target.log_density(target.data_residuals(references), references)
-        mass = density - [chart.log_volume for chart in self.charts]
-        shares = np.maximum(special.softmax(mass), LEAST_SHARE)
+        shares = np.maximum(special.softmax(density - [chart.log_volume for chart in self.charts]), LEAST_SHARE)
         self.shares: Floats = shares / shares.sum()
 
     def propose(self, normal: Floats, choice: Floats) -> Solved:

@@ -104,7 +104,6 @@ def sample(
         if blocks:
             run.take_up(blocks[-1], number)
     next_look = min(max(BLOCK_STEPS * (_WARM_UP_BLOCKS + 5), least), limit)
-    done = 0
     while True:
         while len(blocks) * BLOCK_STEPS < next_look:
             block = _next_block(target, runs)

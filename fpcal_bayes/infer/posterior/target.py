@@ -132,8 +132,7 @@ class PosteriorTarget:
 
     def predictive_p(self, points: Floats, rng: np.random.Generator) -> float:
         """Share of repeats, one at each draw, that are less likely than the rows (posterior predictive check)."""
-        repeat = self.draw_noise(points, rng) + self._repeated()
-        both = (self.standardised(points), repeat)
+        both = (self.standardised(points), self.draw_noise(points, rng) + self._repeated())
         seen, again = (self._row_log_likelihoods(rows, points).sum(axis=1) for rows in both)
         return float(((again <= seen).sum() + 1) / (len(points) + 1))
 

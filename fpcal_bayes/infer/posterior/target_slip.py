@@ -37,8 +37,7 @@ class SlipTarget(PosteriorTarget):
         # An absolute length comes from a wavelength scan, not from counting.
         self._can_slip = ~sweeps.absolute
         self._corrected = slips.counts
-        n_slipped = int(np.count_nonzero(slips.counts))
-        self.reference, curvature = _mode(n_slipped, int(self._can_slip.sum()))
+        self.reference, curvature = _mode(int(np.count_nonzero(slips.counts)), int(self._can_slip.sum()))
         # Proposed a little too widely: the density of u falls off more slowly than a normal one towards few slips.
         self._curvature = _NARROWING * curvature
 
@@ -97,8 +96,7 @@ class SlipTarget(PosteriorTarget):
 
     def _row_of_eps(self, points: Floats) -> Floats:
         """A residual whose square, with the prior's, is lowest at the likeliest u; shape (n_points, 1)."""
-        offset = self.reference / max(self._curvature, 1e-12)
-        return self._curvature * (points[:, -1:] - self.reference) - offset
+        return self._curvature * (points[:, -1:] - self.reference) - self.reference / max(self._curvature, 1e-12)
 
     def _slip_sums(self, corrected: Floats, points: Floats) -> tuple[Floats, Floats]:
         """Log density of all rows (n_points,), and the probability that each has not slipped (n_points, n_rows)."""
@@ -122,7 +120,6 @@ def _mode(n_slipped: int, n_rows: int) -> tuple[float, float]:
     for _ in range(50):
         eps = special.expit(LOGIT_MEAN + LOGIT_SD * u)
         slope = LOGIT_SD * (n_slipped - n_rows * eps) - u
-        curvature = LOGIT_SD**2 * n_rows * eps * (1.0 - eps) + 1.0
-        u += float(np.clip(slope / curvature, -1.0, 1.0))
+        u += float(np.clip(slope / (LOGIT_SD**2 * n_rows * eps * (1.0 - eps) + 1.0), -1.0, 1.0))
     eps = special.expit(LOGIT_MEAN + LOGIT_SD * u)
     return u, float(LOGIT_SD * np.sqrt(n_rows * eps * (1.0 - eps)))

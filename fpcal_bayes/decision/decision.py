@@ -94,8 +94,6 @@ class Decision:
 
 @dataclass(frozen=True)
 class _Session:
-    """A session that may be measured now."""
-
     sweeps: Sweeps
     minutes: float
     state: State
@@ -104,14 +102,10 @@ class _Session:
 
 
 def expected_after(forecast: Forecaster, model: CavityModel, state: State, plan: Sweeps, sigma: float) -> State:
-    """The state expected after measuring a plan at the time of `state`, to first order; its mean stays.
-
-    Measurements in the plan are not looked at; `sigma` is the standard deviation of each change, in um.
-    """
+    """The state expected after a plan of rows of `sigma` in um at the time of `state`, to first order; its mean stays."""
     planned = seen_by_all(plan, model.cell)
     planned = planned.with_measurement(np.zeros(len(planned)), sigma)
-    measurement = SweepMeasurement.of(forecast.drift, model, planned, state.mean)
-    misfit, jacobian = measurement.linearise(state.mean)
+    misfit, jacobian = SweepMeasurement.of(forecast.drift, model, planned, state.mean).linearise(state.mean)
     innovation = Innovation.of(misfit, jacobian, state.covariance, 0.0)
     seen = innovation.whiten(innovation.jacobian @ state.covariance)
     return replace(state, covariance=state.covariance - seen.T @ seen)
@@ -176,8 +170,7 @@ def decide(
                 count = counted(costs.most_sweeps, "sweep")
                 reason = f"no session of up to {count} brings {passes} below {goal.level:.0%}, {len(row)} in a row do"
                 return made("extrinsic", 0.0, row[0], row[0].outlook, reason)
-        every = [full, *sessions]
-        best = min(every, key=lambda s: s.outlook.attainable(goal.level))
+        best = min([full, *sessions], key=lambda s: s.outlook.attainable(goal.level))
         # Rounded up, and a little more: the forecast for that tolerance leaves out other negligible directions.
         least_nm = 0.1 * float(np.ceil(1e4 * _ROUNDING * best.outlook.attainable(goal.level)))
         text = (
@@ -222,11 +215,9 @@ def _in_a_row(
 def _if_it_lasts(
     forecast: Forecaster, model: CavityModel, costs: Costs, choose: Chooser, short: _Session, long: _Session
 ) -> _Session:
-    """The longer of two sessions where its further sweeps pay in the sessions that follow.
-
-    Each short session holds for `loss` hours less than the one before. One long session in k, holding T hours, holds
-    for k T - loss k (k - 1) / 2 hours at the price of k + share short ones (marginal value theorem, Charnov 1976).
-    """
+    """The longer of two sessions where its further sweeps pay in the sessions that follow."""
+    # Each short session holds `loss` hours less than the one before. A long one in k, holding T hours, holds for
+    # k T - loss k (k - 1) / 2 hours at the price of k + share short ones (marginal value theorem, Charnov 1976).
     if long.hours <= short.hours or short.hours <= 0.0 or short.hours >= costs.horizon_h:
         return short
     later = forecast.ahead(short.state, short.hours)

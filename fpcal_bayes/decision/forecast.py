@@ -116,8 +116,7 @@ class Forecaster:
     @classmethod
     def of(cls, drift: DriftModel, model: CavityModel, goal: Goal, mean: Floats) -> "Forecaster":
         """The forecast for the estimate that the controller holds, the mean of a state (n_states,)."""
-        values = drift.values(mean)
-        vector = model.vector(values)
+        vector = model.vector(drift.values(mean))
         machine = drift.motions is not None
         counts = [PATH_POINTS if machine else _CIRCLE_POINTS if name == "circle" else _POINTS for name in goal.tasks]
         tasks = [
@@ -167,10 +166,7 @@ class Forecaster:
         return self.outlook(self.ahead(state, hours)).exceeds(self.goal.tolerance_um)
 
     def hold_hours(self, state: State, horizon_h: float) -> float:
-        """Hours after `state` until the level is passed, to the minute below; zero if it is already.
-
-        At most `horizon_h`.
-        """
+        """Hours after `state` until the level is passed, to the minute below; zero if it is, at most `horizon_h`."""
         inside = 0.0
         for outside in (0.0, *np.geomspace(min(0.25, horizon_h / 2.0), horizon_h, _STEPS).tolist()):
             if self.exceeds(state, outside) > self.goal.level:
@@ -190,10 +186,8 @@ class Forecaster:
 def _held(
     drift: DriftModel, model: CavityModel, goal: Goal, name: str, task: Task, mean: Floats
 ) -> tuple[Floats, Floats | None]:
-    """Errors of a task by the states (n_rows, n_lengths), and of a machine what is new each time (n_rows, n_draws).
-
-    Rows are the points along the beam, then those of each freedom with a tolerance, in um of the goal's tolerance.
-    """
+    """Errors in um of the tolerance by the states (n_rows, n_lengths); on a machine what is new (n_rows, n_draws)."""
+    # Rows are the points along the beam, then those of each freedom with a tolerance.
     own = {each.name: each.tolerances for each in model.cell.tasks}.get(name, {})
     shares = {freedom: goal.tolerance_um / limit for freedom, limit in own.items() if freedom != "beam"}
     values, motions = drift.values(mean), drift.motions

@@ -37,10 +37,7 @@ from fpcal_bayes.tracking.tracker import Track
 
 
 def task_sweeps(model: CavityModel, values: Floats, poses: Floats, limits: SweepLimits | None = None) -> Sweeps:
-    """Sweeps of one joint through `poses` (n_poses, n_joints) of tasks, as a plan, labelled by their joint.
-
-    Those that lose the fringes at `values` are left out; `InputError` if the mirror is out of sight at zero.
-    """
+    """Sweeps of one joint through `poses` (n_poses, n_joints) that keep fringes; `InputError` if there are none at 0."""
     limits = SweepLimits() if limits is None else limits
     low, high = visible_ranges(model, values, limits)
     n_poses, n_joints = poses.shape
@@ -49,8 +46,7 @@ def task_sweeps(model: CavityModel, values: Floats, poses: Floats, limits: Sweep
     rows, joint = np.arange(len(start)), np.tile(np.arange(n_joints), n_poses)
     start[rows, joint], end[rows, joint] = low[joint], high[joint]
     good = (high > low)[joint] & can_be_followed(model, values, start, end, limits)
-    labels = [f"q{j + 1}" for j in joint[good]]
-    return Sweeps.of_um_rad(start[good], end[good], label=labels, file="task sweeps")
+    return Sweeps.of_um_rad(start[good], end[good], label=[f"q{j + 1}" for j in joint[good]], file="task sweeps")
 
 
 #: Random sweeps to choose from, beside those of the calibration.
@@ -74,8 +70,7 @@ class _Pool:
 
     def choose(self, covariance: Floats, tasks: dict[str, Floats], n: int, passes: int = 0) -> Sweeps:
         """At most `n` that leave least unknown of the tasks."""
-        goals = {name: jacobian[None] for name, jacobian in tasks.items()}
-        count = min(n, len(self.candidates))
+        goals, count = {name: jacobian[None] for name, jacobian in tasks.items()}, min(n, len(self.candidates))
         # The mean variance along the paths: the worst point alone would leave the slower directions to drift. Without
         # exchange each sweep is the best after those before it, as a session may end after any.
         chosen = choose_sweeps(
@@ -134,10 +129,7 @@ class Policy:
         return pool.choose(state.covariance[:m, :m], tasks, n)
 
     def choose_diagnosis(self, forecast: Forecaster, state: State, most: int | None = None) -> Sweeps:
-        """The sweeps most likely to show a jump of the intrinsic parameter that drifts most, `most` of them at most.
-
-        Mirror and fibre may have jumped with it, so that sweeps which cannot tell the two apart are of no use.
-        """
+        """At most `most` sweeps that show best a jump of the robot's fastest drift beside one of mirror and fibre."""
         m, at = self.drift.n_lengths, watched(self.drift, self.limits)
         jump = np.zeros(m)
         jump[: self.drift.n_parameters] = self.limits.jump(self.drift) * np.where(self.drift.extrinsic, _NUISANCE, 0.0)
@@ -161,7 +153,6 @@ class Policy:
         return float(found[watched(self.drift, self.limits)])
 
     def _pool(self, forecast: Forecaster) -> "_Pool":
-        """Sweeps at the tasks of the estimate, and all others."""
         values = self.drift.values(forecast.estimate)
         near = _plain(task_sweeps(self.model, values, forecast.poses, self.motion()))
         near = near.take(~reverses(self.model, values, near)[0])
@@ -245,7 +236,6 @@ class Policy:
         )
 
     def _diagnose(self, decision: Decision, forecast: Forecaster, state: State, diagnosed_h: float) -> Decision:
-        """The sweeps of a decision, and those that look at the robot itself."""
         n_taken = 0 if decision.sweeps is None else len(decision.sweeps)
         n_left = max(self.costs.most_sweeps, self.costs.diagnosis_sweeps) - n_taken
         if n_left < 1:
@@ -318,15 +308,11 @@ def _standing(
         stood = tilts(model, values, np.vstack([calibration.q_start, calibration.q_end]))
         visible = replace(visible, tilt=float(stood.max()))
     motion = partial(visible.within_envelope, model, known)
-    policy = Policy.of(track.drift, model, goal, costs, calibration, motion)
-    return policy, forecast, state, known
+    return Policy.of(track.drift, model, goal, costs, calibration, motion), forecast, state, known
 
 
 def suggest_sweeps(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: float, n: int) -> Sweeps:
-    """At most `n` sweeps that would tell most about the tasks now, the most useful first, whether due or not.
-
-    As `decide_track`; `InputError` too where the track is not to be used.
-    """
+    """At most `n` sweeps that tell most about the tasks now, due or not, best first; `InputError` as `decide_track`."""
     if not track.lasting_trust.usable:
         raise InputError(f"the estimate is not to be used: {track.lasting_trust.against}")
     policy, forecast, state, known = _standing(track, sweeps, goal, costs, now_h)
@@ -365,6 +351,5 @@ def valid_until(track: Track, goal: Goal) -> float:
 
 
 def _plain(sweeps: Sweeps) -> Sweeps:
-    """Sweeps as a plan of single end points."""
     plan = as_plan(sweeps, session="next", time_h=0.0, file=sweeps.file)
     return replace(plan, group=np.full(len(plan), ""))

@@ -46,8 +46,7 @@ class FewJoints:
 
     @classmethod
     def _seen(cls, cell: Cell, vector: Floats, met: Ints) -> "FewJoints":
-        home = np.zeros(len(cell.joints))
-        _, on_mirror = chain.reflection_point(cell, vector, home)
+        _, on_mirror = chain.reflection_point(cell, vector, np.zeros(len(cell.joints)))
         point = chain.mirror_in_tool(cell, vector) @ chain.translation(*on_mirror)
         return cls(cell, vector, met, chain.fibre_in_world(vector)[:3, :3], point)
 
@@ -90,8 +89,7 @@ class FewJoints:
         start, end = start @ self.point, end @ self.point
         good = np.isfinite(start).all(axis=(1, 2))
         turns = np.full((len(start), 3), np.nan)
-        turned = end[good, :3, :3] @ np.swapaxes(start[good, :3, :3], 1, 2)
-        turns[good] = Rotation.from_matrix(turned).as_rotvec()
+        turns[good] = Rotation.from_matrix(end[good, :3, :3] @ np.swapaxes(start[good, :3, :3], 1, 2)).as_rotvec()
         return np.hstack([(end[:, :3, 3] - start[:, :3, 3]) @ self.fibre, LEVER * turns @ self.fibre])
 
     def _jacobian(self, q: Floats) -> Floats:

@@ -127,8 +127,7 @@ class Agenda:
     def ingest(self, points: Iterable[Mapping[str, Any]]) -> None:
         """Take what came of points, as `Bench.drive` gives it; on the disk when this returns."""
         for point in points:
-            number = int(point["_id"])
-            self.outcomes[number] = dict(point)
+            self.outcomes[int(point["_id"])] = dict(point)
             self._disturbed = self._disturbed + 1 if point["doubt"] else 0
             self._append(point)
 

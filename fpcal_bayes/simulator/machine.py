@@ -110,8 +110,7 @@ class Machine:
         in_tool = np.array([np.sin(theta_et), -np.sin(beta_et) * np.cos(theta_et), np.cos(beta_et) * np.cos(theta_et)])
         normal, origin = turn @ in_tool, at + z_et * turn[:, :, 2]
         away = ((origin - fibre_at) * normal).sum(axis=1)
-        facing = normal @ light if self.cell.opd == "axis" else np.ones(len(q))
-        length = away / facing
+        length = away / (normal @ light if self.cell.opd == "axis" else np.ones(len(q)))
         along = light if self.cell.opd == "axis" else normal
         # Where the light meets the mirror, seen from its origin: the sag of a curved mirror there.
         spot = fibre_at + along * length[:, None] - origin

@@ -144,8 +144,7 @@ class SimulatedOptics:
         n, s = len(q_start), self.settings
         if s.samples_per_fringe is None:
             return np.full(n, max(s.fewest_samples, round(s.rate_hz * s.duration_s) + 1), dtype=np.int64)
-        share = np.linspace(0.0, 1.0, _COARSE)
-        coarse = q_start[:, None] + (q_end - q_start)[:, None] * share[:, None]
+        coarse = q_start[:, None] + (q_end - q_start)[:, None] * np.linspace(0.0, 1.0, _COARSE)[:, None]
         of = np.repeat(np.arange(n), _COARSE)
         lengths = self.views(coarse.reshape(-1, q_start.shape[1]), time_h, of)[0].reshape(n, _COARSE)
         fastest = np.abs(np.diff(lengths, axis=1)).max(axis=1) * (_COARSE - 1) * (1.0 + s.velocity_ripple)

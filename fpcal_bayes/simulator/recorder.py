@@ -85,8 +85,7 @@ def record_sweeps(
         start, end = sweeps.q_start[i, joint], sweeps.q_end[i, joint]
         believed = np.where(share[part] == 1.0, end, start + (end - start) * share[part])
         read = rig.voltages((views[0][part], views[1][part], views[2][part]), chance)
-        step = settings.duration_s / (counts[i] - 1)
-        traces.append(Trace(step * np.arange(sizes[i]), believed, read))
+        traces.append(Trace(settings.duration_s / (counts[i] - 1) * np.arange(sizes[i]), believed, read))
 
     swept = np.broadcast_to(scans, n) & ~sweeps.absolute
 

@@ -101,8 +101,7 @@ def predict(drift: DriftModel, state: State, time_h: float, temperature_c: float
     """The state at a later time, before anything is measured then; an unlogged temperature is NaN, unchanged."""
     kelvin = kelvin_between(state.temperature_c, temperature_c)
     mean, covariance = drift.propagate(state.mean, state.covariance, time_h - state.time_h, kelvin)
-    known = state.temperature_c if isnan(temperature_c) else temperature_c
-    return State(time_h, mean, covariance, known)
+    return State(time_h, mean, covariance, state.temperature_c if isnan(temperature_c) else temperature_c)
 
 
 def kelvin_between(before: float, after: float) -> float:
@@ -123,8 +122,7 @@ def update(state: State, measurement: Measurement) -> Update:
     for number in range(0 if converged else _MAX_STEPS):
         # The state is prior + covariance @ pull throughout.
         rows, derivatives = equivalent_rows(misfit + jacobian @ (mean - prior), jacobian)
-        total = derivatives @ (covariance @ derivatives.T) + np.eye(len(rows))
-        wanted = derivatives.T @ np.linalg.solve(total, rows)
+        wanted = derivatives.T @ np.linalg.solve(derivatives @ (covariance @ derivatives.T) + np.eye(len(rows)), rows)
         step = wanted - pull
         length = float(np.sqrt(max(float(step @ covariance @ step), 0.0)))
         if length < _STEP_TOLERANCE:

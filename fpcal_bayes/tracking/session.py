@@ -129,8 +129,6 @@ class _Judged:
 
 @dataclass(frozen=True)
 class _Judge:
-    """The tests at one session."""
-
     drift: DriftModel
     limits: Limits
     session_name: str

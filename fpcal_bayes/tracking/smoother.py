@@ -48,8 +48,7 @@ def smooth(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> Smoothed:
         return Smoothed((outcomes[0].state,), np.zeros((1, drift.n_states, drift.n_states)), outcomes[0].converged)
     course = _Course.of(drift, outcomes)
     means = np.array([outcome.state.mean for outcome in outcomes]) - course.shifts
-    covariances = np.array([outcome.state.covariance for outcome in outcomes])
-    trajectory = course.smoothed(means, covariances)
+    trajectory = course.smoothed(means, np.array([outcome.state.covariance for outcome in outcomes]))
     cost, converged = course.cost(trajectory), False
     for _ in range(_MOST_STEPS):
         wanted = course.smoothed(*course.filtered(trajectory.means))
@@ -214,7 +213,6 @@ def looked_at_again(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> Se
 
 
 def _is_due(outcomes: Sequence[SessionOutcome]) -> bool:
-    """Whether the sessions are to be looked at again."""
     count = len(outcomes) - 1
     alarms = [number for number, outcome in enumerate(outcomes) if outcome.jump.any()]
     since = count - alarms[-1] if alarms else 0

@@ -79,8 +79,7 @@ class Cell:
         beams = [Beam(self.beam, self.target, self.wavelength, self.opd, self.optical_axis, ()), *self.further]
         made = []
         for beam in beams:
-            at = self.parameters.positions(beam.parameters) if beam.parameters else own
-            index = np.concatenate([links, at])
+            index = np.concatenate([links, self.parameters.positions(beam.parameters) if beam.parameters else own])
             parameters = ParameterSet(
                 replace(self.parameters[int(i)], name=self.parameters[int(i)].name.partition(AT)[0], slot=slot)
                 for slot, i in enumerate(index)

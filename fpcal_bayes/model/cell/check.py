@@ -110,8 +110,7 @@ def _other_side(fibre: Floats, light: Floats, ahead: float) -> str:
 
 def _turn_mirror(cell: Cell, vector: Floats, wanted: Floats) -> str:
     """The angles of the mirror in the tool frame that turn its normal along `wanted`."""
-    tool = chain.tool_pose(cell, vector, home(cell))
-    beta, theta = mirror_angles(tool[:3, :3].T @ wanted)
+    beta, theta = mirror_angles(chain.tool_pose(cell, vector, home(cell))[:3, :3].T @ wanted)
     beta_deg, theta_deg = wrapped(np.degrees(beta)), wrapped(np.degrees(theta))
     angles = f"beta_et nominal_deg = {beta_deg:g}, theta_et nominal_deg = {theta_deg:g}"
     return f"to turn it there: {angles}{_OR_AXES}"

@@ -103,8 +103,7 @@ def layout_of_axes(axes: Sequence[AxisWord], side: Floats, gap: float) -> Layout
         else:
             links[i, 1] = np.degrees(np.arctan2(-wanted[1], wanted[2])) + 0.0
         frame = frame @ (chain.rot_y(np.radians(links[i, 0])) @ chain.rot_x(np.radians(links[i, 1])))[:3, :3]
-    kinds = tuple(axis.kind for axis in axes)
-    return _faced(kinds, links, side, gap)
+    return _faced(tuple(axis.kind for axis in axes), links, side, gap)
 
 
 def layout_of_links(kinds: Sequence[JointKind], links: Floats, side: Floats, gap: float) -> Layout:

@@ -103,7 +103,6 @@ def at_poses(terms: Terms, q: Floats, at: Responses) -> Floats:
 
 
 def _names(terms: Terms) -> tuple[list[str], list[int]]:
-    """Names and scales of the columns of `at_poses`."""
     index = {name: i for i, name in enumerate(terms.scales)}
     each = [(motion.name, motion.scale) for motion in terms.motions for _ in range(int((motion.sd > 0).sum()))]
     each += [(f"radial runout of q{m.joint + 1}, against the turn", m.scale) for m in terms.elliptic for _ in "cs"]
@@ -149,7 +148,6 @@ def design(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> Design:
 
 
 def _of_session(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> Design:
-    """The design matrix of the rows of one session."""
     cell, index = terms.cell, {name: i for i, name in enumerate(terms.scales)}
     beam = cell.beam_numbers(drive.beam)
     end = responses(cell, vector, terms.told, drive.q_end, beam)
@@ -194,8 +192,7 @@ def _of_session(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> De
     encoded, left = _shared(travel * _unknown_encoder(terms), places.transpose(1, 0, 2), np.arange(len(drive)), sigma)
     # An encoder's error at a position that no other row has counts as return.
     effects = np.copysign(np.hypot(travel * terms.return_sd, left), travel)
-    reached = np.stack([drive.start_reach, drive.end_reach])
-    returned, (starts, ends) = _shared(effects, reached, drive.sweep, sigma)
+    returned, (starts, ends) = _shared(effects, np.stack([drive.start_reach, drive.end_reach]), drive.sweep, sigma)
     for word, kind, found in (("position of", "encoder", encoded), ("return of", "return", returned)):
         parts += [column[:, None] for _, column in found]
         names += [f"{word} q{joint + 1}" for joint, _ in found]
@@ -273,8 +270,7 @@ def _slow(terms: Terms, n: int, sigma: Floats) -> Floats:
     k = np.arange(1, count + 1)
     weight = 1.0 / (1.0 + (k / (_KNEE * count)) ** 2)
     weight *= size / np.sqrt((weight**2).sum())
-    angles = np.pi * (np.arange(n)[:, None] + 0.5) * k / n
-    return np.asarray(np.sqrt(2.0) * np.cos(angles) * weight, dtype=np.float64)
+    return np.asarray(np.sqrt(2.0) * np.cos(np.pi * (np.arange(n)[:, None] + 0.5) * k / n) * weight, dtype=np.float64)
 
 
 def pose_designs(terms: Terms, vector: Floats, start_q: Floats, q: Floats) -> list[PathDesign]:

@@ -96,8 +96,7 @@ def sides_after(steps: Floats) -> Floats:
     """Directions of approach after each step (n, n_joints), zero before a joint's first: the last one not zero."""
     latest = np.where(steps != 0, np.arange(1, len(steps) + 1)[:, None], 0)
     latest = np.maximum.accumulate(latest, axis=0)
-    known = np.vstack([np.zeros(steps.shape[1]), np.sign(steps)])
-    return np.take_along_axis(known, latest, axis=0)
+    return np.take_along_axis(np.vstack([np.zeros(steps.shape[1]), np.sign(steps)]), latest, axis=0)
 
 
 def _steps(poses: Floats, still: Floats | float) -> Floats:

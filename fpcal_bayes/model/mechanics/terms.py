@@ -41,8 +41,7 @@ LEGENDRE, HARMONICS = 8, 4
 
 def polynomials(q: Floats, low: float | Floats, high: float | Floats) -> Floats:
     """Legendre polynomials 1 to 8 over a travel from `low` to `high`, shape (n, 8); of joints (n, m), (n, m, 8)."""
-    x = (2.0 * q - low - high) / (high - low)
-    return np.asarray(legendre.legvander(x, LEGENDRE)[..., 1:], dtype=np.float64)
+    return np.asarray(legendre.legvander((2.0 * q - low - high) / (high - low), LEGENDRE)[..., 1:], dtype=np.float64)
 
 
 def harmonics(q: Floats) -> Floats:
@@ -161,7 +160,6 @@ def group_of(cell: Cell, joint: int) -> str:
 
 
 def _motions(cell: Cell, i: int, sizes: JointMechanics, told: Directions, free: Collection[str]) -> list[Motion]:
-    """The error motions of joint `i` whose size is stated."""
     number, group = i + 1, group_of(cell, i)
     endless = group == "rotary"
     if cell.joints[i].kind == "prismatic":

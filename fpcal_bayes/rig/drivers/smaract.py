@@ -94,7 +94,6 @@ class SmarActStage:
         self._link.send(command + _END)
 
     def _numbers(self, what: str) -> list[int]:
-        """What every channel answers; all are asked at once."""
         queries = [f":CHAN{axis.channel}:{what}?{_END}" for axis in self._axes]
         return [self._whole(answer) for answer in self._link.ask_each(queries)]
 

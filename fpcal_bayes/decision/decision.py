@@ -102,7 +102,7 @@ class _Session:
 
 
 def expected_after(forecast: Forecaster, model: CavityModel, state: State, plan: Sweeps, sigma: float) -> State:
-    """The state expected after a plan of rows of `sigma` in um at the time of `state`, to first order; its mean stays."""
+    """The state after a plan of rows of `sigma` in um at the time of `state`, to first order; its mean stays."""
     planned = seen_by_all(plan, model.cell)
     planned = planned.with_measurement(np.zeros(len(planned)), sigma)
     misfit, jacobian = SweepMeasurement.of(forecast.drift, model, planned, state.mean).linearise(state.mean)
@@ -164,8 +164,11 @@ def decide(
     full = session_of(forecast, model, state, costs, calibration)
     if full.outlook.exceeds(goal.tolerance_um) > goal.level:
         if sessions and not measure:
-            # What remains of a machine's error motions after one session may need others.
-            row = _in_a_row(forecast, model, costs, choose, sessions[-1])
+            # What remains of a machine's error motions after one session may need others, one right after the other.
+            row = [sessions[-1]]
+            while len(row) < _IN_A_ROW and row[-1].outlook.exceeds(goal.tolerance_um) > goal.level:
+                then = forecast.ahead(row[-1].state, row[-1].minutes / 60.0)
+                row.append(session_of(forecast, model, then, costs, choose(forecast, then, costs.most_sweeps)))
             if row[-1].outlook.exceeds(goal.tolerance_um) <= goal.level:
                 count = counted(costs.most_sweeps, "sweep")
                 reason = f"no session of up to {count} brings {passes} below {goal.level:.0%}, {len(row)} in a row do"
@@ -199,17 +202,6 @@ def session_of(forecast: Forecaster, model: CavityModel, state: State, costs: Co
     updated = forecast.following(after.mean)
     hours = updated.hold_hours(after, costs.horizon_h)
     return _Session(plan, costs.minutes(len(plan)), after, updated.outlook(after), hours)
-
-
-def _in_a_row(
-    forecast: Forecaster, model: CavityModel, costs: Costs, choose: Chooser, first: _Session
-) -> list[_Session]:
-    """Sessions that follow one another without a pause, from the first one until the tolerance is expected to hold."""
-    found, goal = [first], forecast.goal
-    while len(found) < _IN_A_ROW and found[-1].outlook.exceeds(goal.tolerance_um) > goal.level:
-        state = forecast.ahead(found[-1].state, found[-1].minutes / 60.0)
-        found.append(session_of(forecast, model, state, costs, choose(forecast, state, costs.most_sweeps)))
-    return found
 
 
 def _if_it_lasts(

@@ -105,9 +105,8 @@ class Forecaster:
     counts: tuple[int, ...]  # how many degrees of freedom each task is held to
     # joint vectors of the aligned pose and of the ends and middle of each task, shape (n_poses, n_joints)
     poses: Floats
-    # basis, factor: of `jacobian`, cut to what matters: shapes (n_points, rank) and (rank, n_lengths)
-    basis: Floats
-    factor: Floats
+    basis: Floats  # of `jacobian`, cut to what matters, shape (n_points, rank)
+    factor: Floats  # likewise, shape (rank, n_lengths)
     draws: Floats  # standard normal, shape (rank, n_draws)
     # of a machine: what is new each time, such as return errors, and what stays of the known motions, in um, shape
     # (n_points, n_draws)
@@ -145,9 +144,8 @@ class Forecaster:
     def outlook(self, state: State) -> TaskForecast:
         """Error of the tasks if the truth is drawn from `state`."""
         n = self.drift.n_lengths
-        spread = self.factor @ state.covariance[:n, :n] @ self.factor.T
         offset = self.factor @ (state.mean[:n] - self.estimate[:n])
-        change = offset[:, None] + symmetric_root(spread) @ self.draws
+        change = offset[:, None] + symmetric_root(self.factor @ state.covariance[:n, :n] @ self.factor.T) @ self.draws
         # Points in rows: the peak to peak over them then runs over the draws side by side.
         errors = self.basis @ change if self.new is None else self.basis @ change + self.new
         peaks = [

@@ -37,7 +37,7 @@ from fpcal_bayes.tracking.tracker import Track
 
 
 def task_sweeps(model: CavityModel, values: Floats, poses: Floats, limits: SweepLimits | None = None) -> Sweeps:
-    """Sweeps of one joint through `poses` (n_poses, n_joints) that keep fringes; `InputError` if there are none at 0."""
+    """Sweeps of one joint through `poses` (n_poses, n_joints) with fringes; `InputError` if there are none at 0."""
     limits = SweepLimits() if limits is None else limits
     low, high = visible_ranges(model, values, limits)
     n_poses, n_joints = poses.shape
@@ -65,11 +65,9 @@ class _Pool:
     rows: Floats
 
     def take(self, which: NDArray[np.int64]) -> "_Pool":
-        """Some of them."""
         return _Pool(self.candidates.take(which), self.rows[:, which])
 
     def choose(self, covariance: Floats, tasks: dict[str, Floats], n: int, passes: int = 0) -> Sweeps:
-        """At most `n` that leave least unknown of the tasks."""
         goals, count = {name: jacobian[None] for name, jacobian in tasks.items()}, min(n, len(self.candidates))
         # The mean variance along the paths: the worst point alone would leave the slower directions to drift. Without
         # exchange each sweep is the best after those before it, as a session may end after any.
@@ -83,12 +81,10 @@ class _Pool:
 class Policy:
     """Decides when to measure what."""
 
-    # drift, model: of the same parameters
     drift: DriftModel
-    model: CavityModel
-    # goal, costs: what is to be held, and what measuring costs
-    goal: Goal
-    costs: Costs
+    model: CavityModel  # of the same parameters
+    goal: Goal  # what is to be held
+    costs: Costs  # what measuring costs
     candidates: Callable[[], Sweeps]  # sweeps to choose from, as a plan; made once, when first wanted
     calibration: Sweeps  # sweeps of a full calibration, as a plan
     # of the tests for changes; they say what a look at the robot can show
@@ -158,8 +154,7 @@ class Policy:
         near = near.take(~reverses(self.model, values, near)[0])
         candidates = join([near, self.candidates()], file="candidates")
         sigma = self.costs.sigma_um
-        rows = sweep_rows(self.model, values[None], candidates, readings=1, sigma=sigma)
-        rows = rows * self.drift.scale
+        rows = sweep_rows(self.model, values[None], candidates, readings=1, sigma=sigma) * self.drift.scale
         if self.drift.motions is not None:
             seen = seen_by_all(candidates, self.model.cell)
             none = np.zeros(len(seen))
@@ -254,11 +249,6 @@ class Policy:
         most = most_power(self.drift, state, hours, self.limits)[at]
         parameter = self.drift.parameters[at]
         size = parameter.shown(self.limits.jump(self.drift)[at] * parameter.prior_sd)
-        reason = (
-            f"no session of the last {hours:.1f} h could show a change of the robot itself; these sweeps show one of "
-            f"{parameter.name} by {size:.2g} {parameter.unit} with probability {found:.2f} "
-            f"(any session: at most {most:.2f})"
-        )
         taken = session_of(forecast, self.model, state, self.costs, sweeps)
         return replace(
             decision,
@@ -269,7 +259,9 @@ class Policy:
             minutes=taken.minutes,
             then_hours=taken.hours,
             after=taken.outlook,
-            reason=reason,
+            reason=f"no session of the last {hours:.1f} h could show a change of the robot itself; these sweeps show "
+            f"one of {parameter.name} by {size:.2g} {parameter.unit} with probability {found:.2f} "
+            f"(any session: at most {most:.2f})",
         )
 
 

@@ -274,7 +274,7 @@ class CavityModel:
         return np.asarray((seen[:, 1:] - seen[:, :1]) / steps)
 
     def mirrors(self, values: Floats, q: Floats) -> tuple[Floats, Floats]:
-        """Normals and origins of the first beam's mirror in wTt, ([n_vectors,] n_poses, 3); `InputError` for a point."""
+        """Normals and origins of the first beam's mirror, ([n_vectors,] n_poses, 3); `InputError` for a point."""
         if self.cell.target != "plane-mirror":
             raise InputError(f"cell {self.cell.name!r}: a {self.cell.target} has no normal, expected a plane mirror")
         many = self._vectors(values)

@@ -94,9 +94,8 @@ def reflection_point(cell: Cell, vector: Matrix, q: Matrix) -> tuple[Matrix, Mat
     if cell.target == "corner-cube":
         return mirror[:3, 3], np.zeros(3)
     normal, origin = mirror[:3, 2], fibre[:3, 3]
-    distance = normal @ (mirror[:3, 3] - origin)
     along = optical_axis(cell, vector) if cell.opd == "axis" else normal
-    point = origin + along * (distance / (normal @ along))
+    point = origin + along * (normal @ (mirror[:3, 3] - origin) / (normal @ along))
     return point, mirror[:3, :3].T @ (point - mirror[:3, 3])
 
 

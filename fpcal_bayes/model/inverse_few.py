@@ -54,9 +54,7 @@ class FewJoints:
         """Joint values (n_poses, n_joints), status and saturated joint (n_poses,) of tool poses (n_poses, 4, 4)."""
         cell = self.cell
         q = np.tile(near, (len(targets), 1))
-        status = np.full(len(targets), OUT_OF_REACH, dtype=np.int64)
-        if len(self.met) < len(cell.joints):
-            status[:] = SINGULAR
+        status = np.full(len(q), SINGULAR if len(self.met) < len(cell.joints) else OUT_OF_REACH, dtype=np.int64)
         for _ in range(_STEPS):
             error = self._twists(self._poses(q), targets)[:, self.met]
             met = np.abs(error).max(axis=1) < _GOAL
@@ -67,9 +65,8 @@ class FewJoints:
             # A turn never needs more than a whole one.
             q = np.where(cell.revolute, np.clip(q, -2 * np.pi, 2 * np.pi), q)
         q[status == OUT_OF_REACH] = np.nan
-        scale = np.where(cell.revolute, 1.0, LEVER)
         slack = 1e-9 * (1.0 + np.abs(q))
-        beyond = np.maximum(cell.low - slack - q, q - cell.high - slack) / scale
+        beyond = np.maximum(cell.low - slack - q, q - cell.high - slack) / np.where(cell.revolute, 1.0, LEVER)
         joint = np.where((status == OK) & (beyond > 0).any(axis=1), beyond.argmax(axis=1), -1).astype(np.int64)
         status[joint >= 0] = SATURATED
         return q, status, joint

@@ -113,9 +113,7 @@ def margin(
     sigmas = float(-ndtri(ndtr(-SIGMAS) / rows))
     few = Known(model, told.draws[:_SCREEN], told.fibre[:_SCREEN], told.light[:_SCREEN])
     bounds = (envelope, shift[:_SCREEN], gap_sd, sigmas)
-    looked = np.ones(len(path.q), dtype=bool)
-    if boxes:
-        looked = _left_by_boxes(few, path.q, bounds, known is not None)
+    looked = _left_by_boxes(few, path.q, bounds, known is not None) if boxes else np.ones(len(path.q), dtype=bool)
     sizes = np.full((6, len(path.q)), np.nan)
     sizes[:, looked] = _sizes(few, path.q[looked], bounds)
     near = (_room(sizes, envelope) < 0).any(axis=0)

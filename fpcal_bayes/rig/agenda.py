@@ -136,8 +136,7 @@ class Agenda:
         if not self.left:
             return True, "all sweeps are driven"
         if self._disturbed >= _MOST_DISTURBED:
-            last = list(self.outcomes.values())[-1]
-            return True, f"{self._disturbed} sweeps in a row are disturbed: {last['doubt']}"
+            return True, f"{self._disturbed} sweeps in a row are disturbed: {list(self.outcomes.values())[-1]['doubt']}"
         expired = self._expired()
         return (True, expired) if expired else (False, "")
 

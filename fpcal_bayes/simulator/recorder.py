@@ -165,9 +165,8 @@ def record_path(
     length, read = record(first, slice(None, n_reference))
     along = np.column_stack([np.interp(places, np.arange(len(path)), column) for column in path.T])
     if rig.settings.quadrature:
-        change = slope * (first[:, joint] - path[0, joint])
         room = slope * (np.array([cell.low[joint], cell.high[joint]]) - [along[:, joint].min(), along[:, joint].max()])
-        fitted = fit_fringe(change, read, cell.wavelength / rig.index)
+        fitted = fit_fringe(slope * (first[:, joint] - path[0, joint]), read, cell.wavelength / rig.index)
         along[:, joint] += fitted.to_quadrature(room.min(), room.max()) / slope
     last = scan_at(along[-1])
     later, later_read = record(np.vstack([along, last]), slice(n_reference, None))

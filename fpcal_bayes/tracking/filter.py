@@ -81,10 +81,8 @@ class Update(Brief):
     state: State  # after the rows
     innovation: Innovation  # what they said beyond the prediction
     equivalent: Floats  # derivatives of the equivalent rows of `misfit` and `jacobian`, (n_equivalent, n_states)
-    # misfit, jacobian: linearisation of all rows at the solution, as an innovation: whitened measurement minus what the
-    # linearised prediction makes of the predicted state, shapes (n_rows,) and (n_rows, n_states)
-    misfit: Floats
-    jacobian: Floats
+    misfit: Floats  # whitened measurement minus the predicted state's, all rows linearised at the solution, (n_rows,)
+    jacobian: Floats  # likewise, shape (n_rows, n_states)
     converged: bool  # whether the iteration came to rest
 
     @property

@@ -113,7 +113,6 @@ class _Course:
 
     @classmethod
     def of(cls, drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> "_Course":
-        """From the calibration on."""
         n = drift.n_states
         matrices, noises, shifts = [np.eye(n)], [np.zeros((n, n))], [np.zeros(n)]
         for before, outcome in pairwise(outcomes):
@@ -129,8 +128,7 @@ class _Course:
         if outcomes[0].measurement is not None:
             # All states are in units of their prior.
             start = replace(start, mean=np.zeros(n), covariance=np.eye(n))
-        measurements = [outcome.measurement for outcome in outcomes]
-        return cls(start, np.array(matrices), np.array(noises), np.array(shifts), measurements)
+        return cls(start, np.array(matrices), np.array(noises), np.array(shifts), [o.measurement for o in outcomes])
 
     def filtered(self, at: Floats) -> tuple[Floats, Floats]:
         """Means and covariances after each session, its rows linearised at `at`, shape (n_times, n_states)."""
@@ -151,7 +149,6 @@ class _Course:
         return np.array(means), np.array(covariances)
 
     def smoothed(self, means: Floats, covariances: Floats) -> _Trajectory:
-        """The trajectory that follows from the states after each session."""
         # The method of the class uses the transition into each time; the function of the module does not.
         smoothed, spread, gains, predicted = kalman(self.start).rts_smoother(
             means, covariances, self.matrices, self.noises

@@ -168,8 +168,7 @@ def track(
         known = Track(cell, drift, (first,), status, 0, max(1, len(starts)))
     else:
         known = replace(known, resumed=len(known.outcomes))
-    first = known.outcomes[0]
-    hidden = followed_drift(drift, model, first)
+    hidden = followed_drift(drift, model, known.outcomes[0])
     outcomes = follow_sessions(hidden, model, limits, known.outcomes, parts)
     if starts:
         course = likeliest(drift, model, limits, outcomes, starts, parts)

@@ -34,9 +34,8 @@ class Design(Brief):
     # what the return errors of joints that stand still in a row do to it: change of the response between its ends times
     # the return's sd, shape (n_rows, n_joints)
     returned: Floats
-    # reached_start, reached_end: the same of joints that are reached anew at an end, shape (n_rows, n_joints)
-    reached_start: Floats
-    reached_end: Floats
+    reached_start: Floats  # the same of joints that are reached anew at an end, shape (n_rows, n_joints)
+    reached_end: Floats  # likewise
 
     @cached_property
     def motion_count(self) -> int:
@@ -53,10 +52,8 @@ class PathDesign:
     # of a sign per joint: the direction from which the start was reached, shape (n_points, n_joints)
     unknown_side: Floats
     drift: Floats  # of the drift's polynomials: change per um of fibre displacement in x, y, z, shape (n_points, 3)
-    # returned_start, returned_point: of standard normal return errors at the start and at each point, shapes (n_points,
-    # n_joints)
-    returned_start: Floats
-    returned_point: Floats
+    returned_start: Floats  # of standard normal return errors at the start, shape (n_points, n_joints)
+    returned_point: Floats  # likewise at each point
     encoded: Floats  # the same of encoders of unknown period, the start first, shape (n_points + 1, n_joints)
     poses: Floats  # joint vectors, the start first, shape (n_points + 1, n_joints)
     drive: Floats  # of the joints' own travel at these poses, same shape

@@ -107,7 +107,6 @@ class _Drawn:
         return cls(estimate, seed, terms, at + z @ slopes.T, words, drifting, mean + z @ factor.T, log)
 
     def rng(self) -> np.random.Generator:
-        """Random numbers of what is new each time, the same at each call."""
         rng = np.random.default_rng([self.seed, 2])
         rng.permutation(len(self.log_scales))
         return rng

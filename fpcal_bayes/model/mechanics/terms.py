@@ -163,12 +163,11 @@ def _motions(cell: Cell, i: int, sizes: JointMechanics, told: Directions, free: 
     number, group = i + 1, group_of(cell, i)
     endless = group == "rotary"
     if cell.joints[i].kind == "prismatic":
-        straight = np.hypot(sizes.straightness_nm, sizes.crosstalk_nm)
         flat = np.hypot(sizes.straightness_nm if sizes.flatness_nm is None else sizes.flatness_nm, sizes.crosstalk_nm)
         stated = {
             OWN: ("linearity", sizes.linearity),
             UP: ("flatness", flat),
-            ACROSS: ("straightness", straight),
+            ACROSS: ("straightness", np.hypot(sizes.straightness_nm, sizes.crosstalk_nm)),
             ROLL: ("roll", sizes.roll_urad),
             YAW: ("yaw", sizes.yaw_urad),
             PITCH: ("pitch", sizes.pitch_urad),

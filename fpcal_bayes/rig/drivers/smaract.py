@@ -60,8 +60,7 @@ class SmarActStage:
     def position(self) -> Floats:
         """Joint values in um and rad."""
         counts = zip(self._axes, self._wire, self._numbers("POS"), strict=True)
-        read = [axis.joint_value(np.asarray(count * wire / axis.per_unit)) for axis, wire, count in counts]
-        return np.array(read, dtype=float)
+        return np.array([axis.joint_value(np.asarray(count * wire / axis.per_unit)) for axis, wire, count in counts])
 
     def settled(self) -> bool:
         """Whether all channels hold their targets in closed loop."""

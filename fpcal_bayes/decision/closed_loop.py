@@ -135,8 +135,7 @@ def task_peaks(
     """
     columns = truth.parameters.positions(model.free.names)
     peaks = np.zeros((len(tasks), len(times_h)))
-    begins = np.array([time for time, _ in held])
-    number = np.searchsorted(begins, times_h + 1e-9) - 1
+    number = np.searchsorted(np.array([time for time, _ in held]), times_h + 1e-9) - 1
     for i in np.unique(number):
         here = number == i
         values = held[i][1]

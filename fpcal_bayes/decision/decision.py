@@ -94,8 +94,6 @@ class Decision:
 
 @dataclass(frozen=True)
 class _Session:
-    """A session that may be measured now."""
-
     sweeps: Sweeps
     minutes: float
     state: State
@@ -104,14 +102,10 @@ class _Session:
 
 
 def expected_after(forecast: Forecaster, model: CavityModel, state: State, plan: Sweeps, sigma: float) -> State:
-    """The state expected after measuring a plan at the time of `state`, to first order; its mean stays.
-
-    Measurements in the plan are not looked at; `sigma` is the standard deviation of each change, in um.
-    """
+    """The state after a plan of rows of `sigma` in um at the time of `state`, to first order; its mean stays."""
     planned = seen_by_all(plan, model.cell)
     planned = planned.with_measurement(np.zeros(len(planned)), sigma)
-    measurement = SweepMeasurement.of(forecast.drift, model, planned, state.mean)
-    misfit, jacobian = measurement.linearise(state.mean)
+    misfit, jacobian = SweepMeasurement.of(forecast.drift, model, planned, state.mean).linearise(state.mean)
     innovation = Innovation.of(misfit, jacobian, state.covariance, 0.0)
     seen = innovation.whiten(innovation.jacobian @ state.covariance)
     return replace(state, covariance=state.covariance - seen.T @ seen)
@@ -170,14 +164,16 @@ def decide(
     full = session_of(forecast, model, state, costs, calibration)
     if full.outlook.exceeds(goal.tolerance_um) > goal.level:
         if sessions and not measure:
-            # What remains of a machine's error motions after one session may need others.
-            row = _in_a_row(forecast, model, costs, choose, sessions[-1])
+            # What remains of a machine's error motions after one session may need others, one right after the other.
+            row = [sessions[-1]]
+            while len(row) < _IN_A_ROW and row[-1].outlook.exceeds(goal.tolerance_um) > goal.level:
+                then = forecast.ahead(row[-1].state, row[-1].minutes / 60.0)
+                row.append(session_of(forecast, model, then, costs, choose(forecast, then, costs.most_sweeps)))
             if row[-1].outlook.exceeds(goal.tolerance_um) <= goal.level:
                 count = counted(costs.most_sweeps, "sweep")
                 reason = f"no session of up to {count} brings {passes} below {goal.level:.0%}, {len(row)} in a row do"
                 return made("extrinsic", 0.0, row[0], row[0].outlook, reason)
-        every = [full, *sessions]
-        best = min(every, key=lambda s: s.outlook.attainable(goal.level))
+        best = min([full, *sessions], key=lambda s: s.outlook.attainable(goal.level))
         # Rounded up, and a little more: the forecast for that tolerance leaves out other negligible directions.
         least_nm = 0.1 * float(np.ceil(1e4 * _ROUNDING * best.outlook.attainable(goal.level)))
         text = (
@@ -208,25 +204,12 @@ def session_of(forecast: Forecaster, model: CavityModel, state: State, costs: Co
     return _Session(plan, costs.minutes(len(plan)), after, updated.outlook(after), hours)
 
 
-def _in_a_row(
-    forecast: Forecaster, model: CavityModel, costs: Costs, choose: Chooser, first: _Session
-) -> list[_Session]:
-    """Sessions that follow one another without a pause, from the first one until the tolerance is expected to hold."""
-    found, goal = [first], forecast.goal
-    while len(found) < _IN_A_ROW and found[-1].outlook.exceeds(goal.tolerance_um) > goal.level:
-        state = forecast.ahead(found[-1].state, found[-1].minutes / 60.0)
-        found.append(session_of(forecast, model, state, costs, choose(forecast, state, costs.most_sweeps)))
-    return found
-
-
 def _if_it_lasts(
     forecast: Forecaster, model: CavityModel, costs: Costs, choose: Chooser, short: _Session, long: _Session
 ) -> _Session:
-    """The longer of two sessions where its further sweeps pay in the sessions that follow.
-
-    Each short session holds for `loss` hours less than the one before. One long session in k, holding T hours, holds
-    for k T - loss k (k - 1) / 2 hours at the price of k + share short ones (marginal value theorem, Charnov 1976).
-    """
+    """The longer of two sessions where its further sweeps pay in the sessions that follow."""
+    # Each short session holds `loss` hours less than the one before. A long one in k, holding T hours, holds for
+    # k T - loss k (k - 1) / 2 hours at the price of k + share short ones (marginal value theorem, Charnov 1976).
     if long.hours <= short.hours or short.hours <= 0.0 or short.hours >= costs.horizon_h:
         return short
     later = forecast.ahead(short.state, short.hours)

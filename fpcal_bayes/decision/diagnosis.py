@@ -33,10 +33,7 @@ def watched(drift: DriftModel, limits: Limits) -> int:
 def session_power(
     drift: DriftModel, model: CavityModel, state: State, sweeps: Sweeps, hours: float, limits: Limits
 ) -> Floats:
-    """Probability that sweeps at the time of a predicted `state` show a jump of each parameter, shape (n_parameters,).
-
-    What they read is not looked at. `hours` have passed since the session before.
-    """
+    """Probability that sweeps, `hours` after the last session, show a jump of each parameter, shape (n_parameters,)."""
     planned = sweeps.with_measurement(np.zeros(len(sweeps)), sweeps.sigma)
     misfit, jacobian = SweepMeasurement.of(drift, model, planned, state.mean).linearise(state.mean)
     return power(Innovation.of(misfit, jacobian, state.covariance, 0.0), hours, limits, drift)

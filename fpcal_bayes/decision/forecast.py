@@ -105,9 +105,8 @@ class Forecaster:
     counts: tuple[int, ...]  # how many degrees of freedom each task is held to
     # joint vectors of the aligned pose and of the ends and middle of each task, shape (n_poses, n_joints)
     poses: Floats
-    # basis, factor: of `jacobian`, cut to what matters: shapes (n_points, rank) and (rank, n_lengths)
-    basis: Floats
-    factor: Floats
+    basis: Floats  # of `jacobian`, cut to what matters, shape (n_points, rank)
+    factor: Floats  # likewise, shape (rank, n_lengths)
     draws: Floats  # standard normal, shape (rank, n_draws)
     # of a machine: what is new each time, such as return errors, and what stays of the known motions, in um, shape
     # (n_points, n_draws)
@@ -116,8 +115,7 @@ class Forecaster:
     @classmethod
     def of(cls, drift: DriftModel, model: CavityModel, goal: Goal, mean: Floats) -> "Forecaster":
         """The forecast for the estimate that the controller holds, the mean of a state (n_states,)."""
-        values = drift.values(mean)
-        vector = model.vector(values)
+        vector = model.vector(drift.values(mean))
         machine = drift.motions is not None
         counts = [PATH_POINTS if machine else _CIRCLE_POINTS if name == "circle" else _POINTS for name in goal.tasks]
         tasks = [
@@ -146,9 +144,8 @@ class Forecaster:
     def outlook(self, state: State) -> TaskForecast:
         """Error of the tasks if the truth is drawn from `state`."""
         n = self.drift.n_lengths
-        spread = self.factor @ state.covariance[:n, :n] @ self.factor.T
         offset = self.factor @ (state.mean[:n] - self.estimate[:n])
-        change = offset[:, None] + symmetric_root(spread) @ self.draws
+        change = offset[:, None] + symmetric_root(self.factor @ state.covariance[:n, :n] @ self.factor.T) @ self.draws
         # Points in rows: the peak to peak over them then runs over the draws side by side.
         errors = self.basis @ change if self.new is None else self.basis @ change + self.new
         peaks = [
@@ -167,10 +164,7 @@ class Forecaster:
         return self.outlook(self.ahead(state, hours)).exceeds(self.goal.tolerance_um)
 
     def hold_hours(self, state: State, horizon_h: float) -> float:
-        """Hours after `state` until the level is passed, to the minute below; zero if it is already.
-
-        At most `horizon_h`.
-        """
+        """Hours after `state` until the level is passed, to the minute below; zero if it is, at most `horizon_h`."""
         inside = 0.0
         for outside in (0.0, *np.geomspace(min(0.25, horizon_h / 2.0), horizon_h, _STEPS).tolist()):
             if self.exceeds(state, outside) > self.goal.level:
@@ -190,10 +184,8 @@ class Forecaster:
 def _held(
     drift: DriftModel, model: CavityModel, goal: Goal, name: str, task: Task, mean: Floats
 ) -> tuple[Floats, Floats | None]:
-    """Errors of a task by the states (n_rows, n_lengths), and of a machine what is new each time (n_rows, n_draws).
-
-    Rows are the points along the beam, then those of each freedom with a tolerance, in um of the goal's tolerance.
-    """
+    """Errors in um of the tolerance by the states (n_rows, n_lengths); on a machine what is new (n_rows, n_draws)."""
+    # Rows are the points along the beam, then those of each freedom with a tolerance.
     own = {each.name: each.tolerances for each in model.cell.tasks}.get(name, {})
     shares = {freedom: goal.tolerance_um / limit for freedom, limit in own.items() if freedom != "beam"}
     values, motions = drift.values(mean), drift.motions

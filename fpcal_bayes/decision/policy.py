@@ -37,10 +37,7 @@ from fpcal_bayes.tracking.tracker import Track
 
 
 def task_sweeps(model: CavityModel, values: Floats, poses: Floats, limits: SweepLimits | None = None) -> Sweeps:
-    """Sweeps of one joint through `poses` (n_poses, n_joints) of tasks, as a plan, labelled by their joint.
-
-    Those that lose the fringes at `values` are left out; `InputError` if the mirror is out of sight at zero.
-    """
+    """Sweeps of one joint through `poses` (n_poses, n_joints) with fringes; `InputError` if there are none at 0."""
     limits = SweepLimits() if limits is None else limits
     low, high = visible_ranges(model, values, limits)
     n_poses, n_joints = poses.shape
@@ -49,8 +46,7 @@ def task_sweeps(model: CavityModel, values: Floats, poses: Floats, limits: Sweep
     rows, joint = np.arange(len(start)), np.tile(np.arange(n_joints), n_poses)
     start[rows, joint], end[rows, joint] = low[joint], high[joint]
     good = (high > low)[joint] & can_be_followed(model, values, start, end, limits)
-    labels = [f"q{j + 1}" for j in joint[good]]
-    return Sweeps.of_um_rad(start[good], end[good], label=labels, file="task sweeps")
+    return Sweeps.of_um_rad(start[good], end[good], label=[f"q{j + 1}" for j in joint[good]], file="task sweeps")
 
 
 #: Random sweeps to choose from, beside those of the calibration.
@@ -69,13 +65,10 @@ class _Pool:
     rows: Floats
 
     def take(self, which: NDArray[np.int64]) -> "_Pool":
-        """Some of them."""
         return _Pool(self.candidates.take(which), self.rows[:, which])
 
     def choose(self, covariance: Floats, tasks: dict[str, Floats], n: int, passes: int = 0) -> Sweeps:
-        """At most `n` that leave least unknown of the tasks."""
-        goals = {name: jacobian[None] for name, jacobian in tasks.items()}
-        count = min(n, len(self.candidates))
+        goals, count = {name: jacobian[None] for name, jacobian in tasks.items()}, min(n, len(self.candidates))
         # The mean variance along the paths: the worst point alone would leave the slower directions to drift. Without
         # exchange each sweep is the best after those before it, as a session may end after any.
         chosen = choose_sweeps(
@@ -88,12 +81,10 @@ class _Pool:
 class Policy:
     """Decides when to measure what."""
 
-    # drift, model: of the same parameters
     drift: DriftModel
-    model: CavityModel
-    # goal, costs: what is to be held, and what measuring costs
-    goal: Goal
-    costs: Costs
+    model: CavityModel  # of the same parameters
+    goal: Goal  # what is to be held
+    costs: Costs  # what measuring costs
     candidates: Callable[[], Sweeps]  # sweeps to choose from, as a plan; made once, when first wanted
     calibration: Sweeps  # sweeps of a full calibration, as a plan
     # of the tests for changes; they say what a look at the robot can show
@@ -134,10 +125,7 @@ class Policy:
         return pool.choose(state.covariance[:m, :m], tasks, n)
 
     def choose_diagnosis(self, forecast: Forecaster, state: State, most: int | None = None) -> Sweeps:
-        """The sweeps most likely to show a jump of the intrinsic parameter that drifts most, `most` of them at most.
-
-        Mirror and fibre may have jumped with it, so that sweeps which cannot tell the two apart are of no use.
-        """
+        """At most `most` sweeps that show best a jump of the robot's fastest drift beside one of mirror and fibre."""
         m, at = self.drift.n_lengths, watched(self.drift, self.limits)
         jump = np.zeros(m)
         jump[: self.drift.n_parameters] = self.limits.jump(self.drift) * np.where(self.drift.extrinsic, _NUISANCE, 0.0)
@@ -161,14 +149,12 @@ class Policy:
         return float(found[watched(self.drift, self.limits)])
 
     def _pool(self, forecast: Forecaster) -> "_Pool":
-        """Sweeps at the tasks of the estimate, and all others."""
         values = self.drift.values(forecast.estimate)
         near = _plain(task_sweeps(self.model, values, forecast.poses, self.motion()))
         near = near.take(~reverses(self.model, values, near)[0])
         candidates = join([near, self.candidates()], file="candidates")
         sigma = self.costs.sigma_um
-        rows = sweep_rows(self.model, values[None], candidates, readings=1, sigma=sigma)
-        rows = rows * self.drift.scale
+        rows = sweep_rows(self.model, values[None], candidates, readings=1, sigma=sigma) * self.drift.scale
         if self.drift.motions is not None:
             seen = seen_by_all(candidates, self.model.cell)
             none = np.zeros(len(seen))
@@ -245,7 +231,6 @@ class Policy:
         )
 
     def _diagnose(self, decision: Decision, forecast: Forecaster, state: State, diagnosed_h: float) -> Decision:
-        """The sweeps of a decision, and those that look at the robot itself."""
         n_taken = 0 if decision.sweeps is None else len(decision.sweeps)
         n_left = max(self.costs.most_sweeps, self.costs.diagnosis_sweeps) - n_taken
         if n_left < 1:
@@ -264,11 +249,6 @@ class Policy:
         most = most_power(self.drift, state, hours, self.limits)[at]
         parameter = self.drift.parameters[at]
         size = parameter.shown(self.limits.jump(self.drift)[at] * parameter.prior_sd)
-        reason = (
-            f"no session of the last {hours:.1f} h could show a change of the robot itself; these sweeps show one of "
-            f"{parameter.name} by {size:.2g} {parameter.unit} with probability {found:.2f} "
-            f"(any session: at most {most:.2f})"
-        )
         taken = session_of(forecast, self.model, state, self.costs, sweeps)
         return replace(
             decision,
@@ -279,7 +259,9 @@ class Policy:
             minutes=taken.minutes,
             then_hours=taken.hours,
             after=taken.outlook,
-            reason=reason,
+            reason=f"no session of the last {hours:.1f} h could show a change of the robot itself; these sweeps show "
+            f"one of {parameter.name} by {size:.2g} {parameter.unit} with probability {found:.2f} "
+            f"(any session: at most {most:.2f})",
         )
 
 
@@ -319,15 +301,11 @@ def _standing(
         stood = tilts(model, values, np.vstack([calibration.q_start, calibration.q_end]))
         visible = replace(visible, tilt=float(stood.max()))
     motion = partial(visible.within_envelope, model, known)
-    policy = Policy.of(track.drift, model, goal, costs, calibration, motion)
-    return policy, forecast, state, known
+    return Policy.of(track.drift, model, goal, costs, calibration, motion), forecast, state, known
 
 
 def suggest_sweeps(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: float, n: int) -> Sweeps:
-    """At most `n` sweeps that would tell most about the tasks now, the most useful first, whether due or not.
-
-    As `decide_track`; `InputError` too where the track is not to be used.
-    """
+    """At most `n` sweeps that tell most about the tasks now, due or not, best first; `InputError` as `decide_track`."""
     if not track.lasting_trust.usable:
         raise InputError(f"the estimate is not to be used: {track.lasting_trust.against}")
     policy, forecast, state, known = _standing(track, sweeps, goal, costs, now_h)
@@ -366,6 +344,5 @@ def valid_until(track: Track, goal: Goal) -> float:
 
 
 def _plain(sweeps: Sweeps) -> Sweeps:
-    """Sweeps as a plan of single end points."""
     plan = as_plan(sweeps, session="next", time_h=0.0, file=sweeps.file)
     return replace(plan, group=np.full(len(plan), ""))

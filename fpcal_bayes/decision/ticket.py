@@ -37,7 +37,6 @@ def ticket_of(decision: Decision, campaign: Sweeps, file: str = "ticket", *, now
         expires_utc = now_utc + 3600.0 * TICKET_H
     elif len(stamped):
         at = stamped[-1]
-        since_h = expires_h - float(campaign.time_h[at])
-        expires_utc = clock(str(campaign.utc[at])).timestamp() + 3600.0 * since_h
+        expires_utc = clock(str(campaign.utc[at])).timestamp() + 3600.0 * (expires_h - float(campaign.time_h[at]))
     name = f"{basis_of(campaign)}-{decision.now_h * 60.0:.0f}"
     return Ticket(file, plan, np.ones(len(plan), dtype=np.int64), expires_h, expires_utc, name)

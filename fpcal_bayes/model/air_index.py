@@ -63,9 +63,8 @@ def _vapour_fraction(celsius: Floats, pressure: Floats, humidity: Floats) -> Flo
     kelvin = celsius + _ZERO_CELSIUS
     over_water = np.exp(1.2378847e-5 * kelvin**2 - 1.9121316e-2 * kelvin + 33.93711047 - 6.3431645e3 / kelvin)
     over_ice = 10.0 ** (12.537 - 2663.5 / kelvin)
-    saturation = np.where(celsius >= 0.0, over_water, over_ice)
     enhancement = 1.00062 + 3.14e-8 * pressure + 5.6e-7 * celsius**2
-    return np.asarray(enhancement * humidity * saturation / pressure)
+    return np.asarray(enhancement * humidity * np.where(celsius >= 0.0, over_water, over_ice) / pressure)
 
 
 def _compressibility(celsius: ArrayLike, pressure: ArrayLike, vapour: ArrayLike) -> Floats:

@@ -120,8 +120,7 @@ class CavityModel:
         for (cell, index), side in zip(self.cell.views, self.sides or (0,) * len(self.cell.views), strict=True):
             place = {int(slot): i for i, slot in enumerate(self.free.slots)}
             seen = [(slot, place[int(i)]) for slot, i in enumerate(index) if int(i) in place]
-            free = ParameterSet(cell.parameters[slot] for slot, _ in seen)
-            view = CavityModel(cell, free, self.held[index], side)
+            view = CavityModel(cell, ParameterSet(cell.parameters[slot] for slot, _ in seen), self.held[index], side)
             made.append((view, np.array([i for _, i in seen], dtype=np.int64)))
         return tuple(made)
 
@@ -151,8 +150,7 @@ class CavityModel:
         return self._columns_of(self.free.slots)
 
     def _columns_of(self, slots: Ints) -> Ints:
-        made = derivative_columns if self.cell.target == "plane-mirror" else point_columns
-        return made(self.cell.revolute, slots)
+        return (derivative_columns if self.cell.target == "plane-mirror" else point_columns)(self.cell.revolute, slots)
 
     def vector(self, values: Floats) -> Floats:
         """Model vector (model size,) with the free parameters at `values` (n,); or of many of them, (n_vectors, n)."""
@@ -161,10 +159,7 @@ class CavityModel:
         return vector
 
     def rows(self, q_start: Floats, q_end: Floats, absolute: Bools | None = None, beam: Ints | None = None) -> Rows:
-        """Lay out sweeps (n_rows, n_joints) for the kernels.
-
-        absolute: rows that give L(end) itself; beam: number of the beam that read each row, by default the first.
-        """
+        """Lay out sweeps (n_rows, n_joints); `absolute` rows give L(end) itself, `beam` (the first) read each row."""
         if self.cell.further:
             beam = np.zeros(len(q_end), dtype=np.int64) if beam is None else beam
             whole = replace(self, cell=self.views[0][0].cell).rows(q_start, q_end, absolute)
@@ -254,8 +249,7 @@ class CavityModel:
         n_joints = len(self.cell.joints)
         links = np.arange(n_joints) * STRIDE
         wanted = np.concatenate([links + np.where(self.cell.revolute, THETA, R), links + R]).astype(np.int64)
-        many = self._vectors(values)
-        _, columns = self._differentiated(many, self.pose_rows(q), self._columns_of(wanted))
+        _, columns = self._differentiated(self._vectors(values), self.pose_rows(q), self._columns_of(wanted))
         moved, along = columns[0][:, :n_joints], columns[0][:, n_joints:]
         link_values = self.vector(values)[: STRIDE * n_joints].reshape(n_joints, STRIDE)
         gain, runout_cos, runout_sin = link_values[:, RUNOUT_COS - 1 :].T
@@ -280,10 +274,7 @@ class CavityModel:
         return np.asarray((seen[:, 1:] - seen[:, :1]) / steps)
 
     def mirrors(self, values: Floats, q: Floats) -> tuple[Floats, Floats]:
-        """Normals and origins of the first beam's mirror at poses (n_poses, n_joints), columns three and four of wTt.
-
-        Each (n_poses, 3), with a leading axis n_vectors where `values` has one; `InputError` for a point.
-        """
+        """Normals and origins of the first beam's mirror, ([n_vectors,] n_poses, 3); `InputError` for a point."""
         if self.cell.target != "plane-mirror":
             raise InputError(f"cell {self.cell.name!r}: a {self.cell.target} has no normal, expected a plane mirror")
         many = self._vectors(values)

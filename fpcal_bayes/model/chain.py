@@ -57,8 +57,7 @@ def tool_pose(cell: Cell, vector: Matrix, q: Matrix) -> Matrix:
     """DGM: wTe (4, 4), the end-effector frame in the world, of model and joint vector; paper equation (12)."""
     pose = np.eye(4)
     for i, joint in enumerate(cell.joints):
-        link = vector[_STRIDE * i : _STRIDE * (i + 1)]
-        pose = pose @ link_transform(link, q[i], joint.kind == "prismatic")
+        pose = pose @ link_transform(vector[_STRIDE * i : _STRIDE * (i + 1)], q[i], joint.kind == "prismatic")
     return pose
 
 
@@ -90,17 +89,13 @@ def optical_axis(cell: Cell, vector: Matrix) -> Matrix:
 
 
 def reflection_point(cell: Cell, vector: Matrix, q: Matrix) -> tuple[Matrix, Matrix]:
-    """Reflection points wPr and tPr, in the world and in the mirror frame, paper equations (28), (29); (3,), in um.
-
-    On the perpendicular path the foot of the perpendicular from the fibre end to the mirror plane.
-    """
+    """Reflection points wPr, tPr (3,) in um, paper (28), (29); foot of the fibre end on the perpendicular path."""
     mirror, fibre = mirror_pose(cell, vector, q), fibre_in_world(vector)
     if cell.target == "corner-cube":
         return mirror[:3, 3], np.zeros(3)
     normal, origin = mirror[:3, 2], fibre[:3, 3]
-    distance = normal @ (mirror[:3, 3] - origin)
     along = optical_axis(cell, vector) if cell.opd == "axis" else normal
-    point = origin + along * (distance / (normal @ along))
+    point = origin + along * (normal @ (mirror[:3, 3] - origin) / (normal @ along))
     return point, mirror[:3, :3].T @ (point - mirror[:3, 3])
 
 

@@ -118,7 +118,6 @@ def safe_ranges(model: CavityModel, draws: Floats, low: Floats, high: Floats) ->
 
 
 def _poses(q: Floats) -> JointPath:
-    """Poses alone, without steps."""
     n = len(q)
     return JointPath(q, np.arange(n), np.zeros(n, dtype=bool), np.zeros((0, 2), dtype=np.int64), np.zeros(0))
 
@@ -144,8 +143,7 @@ def require_within_envelope(
                 f"moves {names} at once, which [envelope] together does not allow: move them in turn, or name the group"
             )
             raise located(file, what, row=row + 1 if rows is None else rows[row])
-    found = breaches(model, draws, sweep_path(cell, q_start, q_end), exact=exact)
-    for row, what in found.items():
+    for row, what in breaches(model, draws, sweep_path(cell, q_start, q_end), exact=exact).items():
         raise located(file, what, row=row + 1 if rows is None else rows[row])
 
 
@@ -155,8 +153,7 @@ def require_task_within_envelope(
     """Refuse a task through `q` (n_points, n_joints), from `start` or joint zero, that may leave the envelope."""
     if model.cell.envelope is None or not len(q):
         return
-    found = breaches(model, draws, task_path(model.cell, q, start), exact=exact)
-    for row, what in found.items():
+    for row, what in breaches(model, draws, task_path(model.cell, q, start), exact=exact).items():
         raise InputError(f"task {name!r}, point {row + 1}: {what}")
 
 
@@ -218,8 +215,7 @@ def _blind(model: CavityModel, draws: Floats, path: JointPath) -> list[tuple[int
     joints, most = _along_beam(model, draws)
     found = []
     for row in np.unique(path.row):
-        mine = path.q[path.row == row][:, joints]
-        far = np.abs(mine - home(cell)[joints]).max(axis=0, initial=0.0)
+        far = np.abs(path.q[path.row == row][:, joints] - home(cell)[joints]).max(axis=0, initial=0.0)
         if (far > most).any():
             name = f"q{joints[int(np.argmax(far))] + 1}"
             what = f"moves {name} along the beam by {far.max():.4g} um while the gap is not known: {_MEASURE_GAP}"

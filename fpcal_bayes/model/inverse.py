@@ -32,9 +32,7 @@ class JointSolutions:
     """Joint values of poses, and what became of each pose; nothing is clipped: drive to those that are `ok` only."""
 
     cell: Cell  # whose joints they are
-    #: Joint values that give the pose, shape (..., n_joints), in um and rad; beyond a limit where the pose is
-    #: saturated, NaN where it is out of reach. Nothing is clipped: drive to those that are `ok` only.
-    q: Floats
+    q: Floats  # shape (..., n_joints), in um and rad; beyond a limit where saturated, NaN where out of reach
     status: Ints  # `OK`, `OUT_OF_REACH`, `SATURATED` or `SINGULAR`, shape (...)
     joint: Ints  # the one farthest beyond its limit where a pose is saturated, else -1, shape (...)
 

@@ -46,8 +46,7 @@ class FewJoints:
 
     @classmethod
     def _seen(cls, cell: Cell, vector: Floats, met: Ints) -> "FewJoints":
-        home = np.zeros(len(cell.joints))
-        _, on_mirror = chain.reflection_point(cell, vector, home)
+        _, on_mirror = chain.reflection_point(cell, vector, np.zeros(len(cell.joints)))
         point = chain.mirror_in_tool(cell, vector) @ chain.translation(*on_mirror)
         return cls(cell, vector, met, chain.fibre_in_world(vector)[:3, :3], point)
 
@@ -55,9 +54,7 @@ class FewJoints:
         """Joint values (n_poses, n_joints), status and saturated joint (n_poses,) of tool poses (n_poses, 4, 4)."""
         cell = self.cell
         q = np.tile(near, (len(targets), 1))
-        status = np.full(len(targets), OUT_OF_REACH, dtype=np.int64)
-        if len(self.met) < len(cell.joints):
-            status[:] = SINGULAR
+        status = np.full(len(q), SINGULAR if len(self.met) < len(cell.joints) else OUT_OF_REACH, dtype=np.int64)
         for _ in range(_STEPS):
             error = self._twists(self._poses(q), targets)[:, self.met]
             met = np.abs(error).max(axis=1) < _GOAL
@@ -68,9 +65,8 @@ class FewJoints:
             # A turn never needs more than a whole one.
             q = np.where(cell.revolute, np.clip(q, -2 * np.pi, 2 * np.pi), q)
         q[status == OUT_OF_REACH] = np.nan
-        scale = np.where(cell.revolute, 1.0, LEVER)
         slack = 1e-9 * (1.0 + np.abs(q))
-        beyond = np.maximum(cell.low - slack - q, q - cell.high - slack) / scale
+        beyond = np.maximum(cell.low - slack - q, q - cell.high - slack) / np.where(cell.revolute, 1.0, LEVER)
         joint = np.where((status == OK) & (beyond > 0).any(axis=1), beyond.argmax(axis=1), -1).astype(np.int64)
         status[joint >= 0] = SATURATED
         return q, status, joint
@@ -90,8 +86,7 @@ class FewJoints:
         start, end = start @ self.point, end @ self.point
         good = np.isfinite(start).all(axis=(1, 2))
         turns = np.full((len(start), 3), np.nan)
-        turned = end[good, :3, :3] @ np.swapaxes(start[good, :3, :3], 1, 2)
-        turns[good] = Rotation.from_matrix(turned).as_rotvec()
+        turns[good] = Rotation.from_matrix(end[good, :3, :3] @ np.swapaxes(start[good, :3, :3], 1, 2)).as_rotvec()
         return np.hstack([(end[:, :3, 3] - start[:, :3, 3]) @ self.fibre, LEVER * turns @ self.fibre])
 
     def _jacobian(self, q: Floats) -> Floats:

@@ -25,17 +25,14 @@ class JointPath:
     q: Floats  # shape (n_poses, n_joints), in um and rad
     row: Ints  # position of the row that each pose belongs to, shape (n_poses,)
     between: Bools  # whether a pose lies on the way to its row's start, shape (n_poses,)
-    # pairs of poses between which the joints move straight, by position, shape (n_steps, 2), and the seconds that each
-    # takes, shape (n_steps,)
-    step: Ints
-    seconds: Floats  # see `step`
+    step: Ints  # pairs of poses between which the joints move straight, by position, shape (n_steps, 2)
+    seconds: Floats  # that each step takes, shape (n_steps,)
 
 
 def speeds(cell: Cell) -> Floats:
     """What each joint travels or turns in a second, shape (n_joints,)."""
-    usual = np.where(cell.revolute, TURN_SPEED, TRAVEL_SPEED)
     stated = [np.nan if joint.speed is None else joint.speed for joint in cell.joints]
-    return np.where(np.isnan(stated), usual, stated)
+    return np.where(np.isnan(stated), np.where(cell.revolute, TURN_SPEED, TRAVEL_SPEED), stated)
 
 
 def in_turn(cell: Cell, moved: Bools) -> bool:

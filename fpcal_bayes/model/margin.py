@@ -83,10 +83,7 @@ class Known:
         return cls(model, draws, vectors[:, None, -3:], chain.optical_axis(model.cell, vectors)[:, None])
 
     def facing(self, q: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """How mirror and fibre stand at each draw and pose, in um, shape (n_draws, n_poses) each.
-
-        Fibre before the mirror's plane, cosine of the tilt, offset of the reflection point, mirror's origin along it.
-        """
+        """Fibre before mirror, cosine of tilt, offset of spot, mirror's origin along it; um, (n_draws, n_poses)."""
         normals, origins = self.model.mirrors(self.draws, q)
         light = np.swapaxes(self.light, 1, 2)
         # Products with one vector a draw are products of matrices, which need no copies of the poses.
@@ -98,8 +95,7 @@ class Known:
             length = ahead / facing
         # The reflection point lies at `length` along the light: by Pythagoras from the mirror's origin.
         square = np.einsum("dpi,dpi->dp", origins, origins) - (2.0 * before - length) * length
-        aside = np.sqrt(np.maximum(square, 0.0))
-        return ahead, facing, np.where(facing > 1e-3, aside, 1e9), before
+        return ahead, facing, np.where(facing > 1e-3, np.sqrt(np.maximum(square, 0.0)), 1e9), before
 
 
 def margin(
@@ -117,9 +113,7 @@ def margin(
     sigmas = float(-ndtri(ndtr(-SIGMAS) / rows))
     few = Known(model, told.draws[:_SCREEN], told.fibre[:_SCREEN], told.light[:_SCREEN])
     bounds = (envelope, shift[:_SCREEN], gap_sd, sigmas)
-    looked = np.ones(len(path.q), dtype=bool)
-    if boxes:
-        looked = _left_by_boxes(few, path.q, bounds, known is not None)
+    looked = _left_by_boxes(few, path.q, bounds, known is not None) if boxes else np.ones(len(path.q), dtype=bool)
     sizes = np.full((6, len(path.q)), np.nan)
     sizes[:, looked] = _sizes(few, path.q[looked], bounds)
     near = (_room(sizes, envelope) < 0).any(axis=0)
@@ -143,10 +137,8 @@ def _room(sizes: Floats, envelope: Envelope) -> Floats:
 
 
 def _left_by_boxes(few: Known, q: Floats, bounds: tuple[Envelope, Floats, float, float], gap: bool) -> Bools:
-    """Which poses need a look of their own: no box of joints around many of them stays inside; `gap`: it is known.
-
-    Boxes are halved while that pays; between what is looked at a quantity may bend twice as much as it does there.
-    """
+    """Which poses need a look of their own: no box of joints around many of them stays inside; `gap`: it is known."""
+    # Boxes are halved while that pays; between what is looked at a quantity may bend twice as much as it does there.
     cell, left, full = few.model.cell, np.zeros(len(q), dtype=bool), np.ptp(q, axis=0) + 1e-300
     groups = [np.arange(len(q))]
     while groups:
@@ -253,5 +245,4 @@ def _rates(model: CavityModel, draws: Floats, path: JointPath, sigmas: float) ->
     """Half waves a second on each step at `sigmas` standard deviations, shape (n_steps,)."""
     lengths = model.predict(draws, model.rows(path.q[path.step[:, 0]], path.q[path.step[:, 1]]))
     change = np.maximum(_far(lengths, sigmas), _far(-lengths, sigmas))
-    seconds = np.where(path.seconds > 0, path.seconds, np.inf)
-    return np.asarray(change / seconds / (model.cell.wavelength / 2.0))
+    return np.asarray(change / np.where(path.seconds > 0, path.seconds, np.inf) / (model.cell.wavelength / 2.0))

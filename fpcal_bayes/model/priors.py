@@ -88,8 +88,7 @@ class TruncatedNormal(Marginal):
         low, high = self._ends
         deviate = (value - self.centre) / self.spread
         below = (special.ndtr(deviate) - special.ndtr(low)) / self._mass
-        above = (special.ndtr(-deviate) - special.ndtr(-high)) / self._mass
-        return _smaller_tail(below, above)
+        return _smaller_tail(below, (special.ndtr(-deviate) - special.ndtr(-high)) / self._mass)
 
     def settings(self) -> list[float]:
         return [self.centre, self.spread, *self._ends]
@@ -98,8 +97,7 @@ class TruncatedNormal(Marginal):
         """Standardised values; each tail is computed from its own end, where the other has no digits left."""
         low, high = self._ends
         below = special.ndtr(low) + self._mass * special.ndtr(score)
-        above = special.ndtr(-high) + self._mass * special.ndtr(-score)
-        return np.clip(_smaller_tail(below, above), low, high)
+        return np.clip(_smaller_tail(below, special.ndtr(-high) + self._mass * special.ndtr(-score)), low, high)
 
 
 @dataclass(frozen=True)

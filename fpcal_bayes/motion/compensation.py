@@ -19,8 +19,7 @@ def compensated_joints(
     if known is None:
         return q, np.zeros(len(q))
     model = CavityModel.of(estimate.cell, estimate.parameters)
-    rows = model.rows(np.repeat(start[None], len(q), axis=0), q)
-    _, jacobian = model.predict_with_jacobian(estimate.values, rows)
+    _, jacobian = model.predict_with_jacobian(estimate.values, model.rows(np.repeat(start[None], len(q), axis=0), q))
     weights, factor = known.known_motions
     geometry = jacobian @ known.geometry(estimate.parameters.names)[0]
     terms, vector = known.terms(estimate.cell), estimate.vector()

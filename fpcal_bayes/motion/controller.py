@@ -236,8 +236,7 @@ class Controller:
         """Solutions with the known error motions made up for, where that gains; others as they are."""
         if not self._compensate or self._estimate.mechanics is None or not found.ok.all():
             return found
-        q = found.q.reshape(-1, found.q.shape[-1])
-        better, _ = compensated_joints(self._estimate, self._aligned_q, q, self._q)
+        better, _ = compensated_joints(self._estimate, self._aligned_q, found.q.reshape(-1, found.q.shape[-1]), self._q)
         return replace(found, q=better.reshape(found.q.shape))
 
     def _warn_if_stale(self) -> None:

@@ -87,5 +87,4 @@ def _compensation(estimate: Estimate) -> dict[str, Any]:
 
 
 def _scale(unit: str) -> float:
-    """Of a shown unit in um, rad or 1."""
     return {"deg": float(np.radians(1.0)), "um": 1.0, "ppm": 1e-6}[unit]

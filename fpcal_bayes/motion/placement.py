@@ -35,8 +35,7 @@ class Placement:
                 f"cell {cell.name!r}: tasks hold a mirror before the first beam, which ends on a {cell.target}; put a "
                 "beam on a plane mirror first"
             )
-        home = np.zeros(len(cell.joints))
-        world, mirror = chain.reflection_point(cell, vector, home)
+        world, mirror = chain.reflection_point(cell, vector, np.zeros(len(cell.joints)))
         fibre = chain.fibre_in_world(vector)
         point = chain.mirror_in_tool(cell, vector) @ chain.translation(*mirror)
         aligned = np.eye(4)

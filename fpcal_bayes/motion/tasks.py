@@ -136,7 +136,6 @@ def task_path(cell: Cell, vector: Floats, name: str, *, radius: float | None = N
 
 
 def _built_in(cell: Cell, vector: Floats, placement: Placement, name: str, radius: float) -> OwnTask:
-    """A task of `TASKS` in the size that it has on this cell."""
     if name == "circle":
         return OwnTask(name, name, radius)
     if name == "spin":
@@ -155,8 +154,7 @@ def half_line(cell: Cell) -> float:
     directions, _ = joint_axes(cell, vector, home(cell))
     across = np.abs(directions @ chain.optical_axis(cell, vector)) < 0.5
     moving = [joint for joint, beside in zip(cell.joints, across, strict=True) if beside and joint.kind == "prismatic"]
-    sides = [min(joint.high, -joint.low) for joint in moving]
-    shortest = min(sides, default=HALF_LINE)
+    shortest = min([min(joint.high, -joint.low) for joint in moving], default=HALF_LINE)
     return HALF_LINE if shortest >= HALF_LINE or shortest <= 0 else 0.9 * shortest
 
 

@@ -127,8 +127,7 @@ class Agenda:
     def ingest(self, points: Iterable[Mapping[str, Any]]) -> None:
         """Take what came of points, as `Bench.drive` gives it; on the disk when this returns."""
         for point in points:
-            number = int(point["_id"])
-            self.outcomes[number] = dict(point)
+            self.outcomes[int(point["_id"])] = dict(point)
             self._disturbed = self._disturbed + 1 if point["doubt"] else 0
             self._append(point)
 
@@ -137,8 +136,7 @@ class Agenda:
         if not self.left:
             return True, "all sweeps are driven"
         if self._disturbed >= _MOST_DISTURBED:
-            last = list(self.outcomes.values())[-1]
-            return True, f"{self._disturbed} sweeps in a row are disturbed: {last['doubt']}"
+            return True, f"{self._disturbed} sweeps in a row are disturbed: {list(self.outcomes.values())[-1]['doubt']}"
         expired = self._expired()
         return (True, expired) if expired else (False, "")
 

@@ -112,8 +112,7 @@ class Bench:
         """Move joints that may move at once; why the fringes were lost on the way, or nothing."""
         moving = self._commanded != target
         seconds = self._guard.seconds(here, target)
-        patience = [self._rig.joints[i].settle_timeout_s for i in np.flatnonzero(moving)]
-        allowed = seconds + max(patience, default=0.0)
+        allowed = seconds + max((self._rig.joints[i].settle_timeout_s for i in np.flatnonzero(moving)), default=0.0)
         stages = [stage for stage in self.stages if moving[list(stage.joints)].any()]
         self._commanded[:] = np.nan
         self._moved = self._moved or bool(stages)
@@ -127,8 +126,7 @@ class Bench:
         """Wait until the joints stand at `target`; why the fringes were lost on the way, or nothing."""
         clock, lost = self._rig.clock, ""
         began, wall, since = clock.ticks(), time.monotonic(), math.inf
-        held = [self._rig.joints[i].settle_s for stage in stages for i in stage.joints]
-        hold = max(held, default=0.0)
+        hold = max((self._rig.joints[i].settle_s for stage in stages for i in stage.joints), default=0.0)
         while True:
             # Every controller is asked, so that a failure is seen at once.
             settled = not [stage for stage in stages if not stage.settled()]
@@ -163,8 +161,7 @@ class Bench:
         joint, scale, axis = self._cell.joints[i], self._cell.joint_scales[i], self._rig.joints[i].axis
         stands = f"q{i + 1} stands at {q[i] / scale:.9g} {joint.unit} after {s:.3g} s"
         address = next(each.address for each in self._rig.controllers if each.name == axis.name)
-        command = f"move q{i + 1} to {target[i] / scale:.9g}"
-        return DeviceError(axis.name, address, command, f"not settled: {stands}")
+        return DeviceError(axis.name, address, f"move q{i + 1} to {target[i] / scale:.9g}", f"not settled: {stands}")
 
     def read(self, target: Floats) -> Reading:
         """Read positions and length at rest, at `target`; `Disturbed` if these do not stand still."""
@@ -175,8 +172,7 @@ class Bench:
         length = math.nan if self.instrument is None else self.instrument.length()
         moment = self._rig.clock.now()
         celsius = math.nan if self.instrument is None else self.instrument.temperature_c()
-        after = self.position()
-        if (np.abs(after - before) > self._guard.tolerance).any():
+        if (np.abs(self.position() - before) > self._guard.tolerance).any():
             raise Disturbed("the joints moved while the length was read")
         return Reading(before, length, moment, celsius)
 
@@ -201,13 +197,11 @@ class Bench:
         return _outcome(number, [], closing) | {"doubt": doubt}
 
     def _sweep(self, order: Order) -> list[Reading]:
-        """Start, targets and the return to the start."""
         readings = []
         self._run_up(order)
         for number, target in enumerate(self._guard.stops(order)):
-            what = f"row {order.row}: {order.label!r}"
             # On the way to the start nothing is measured yet.
-            self.go(target, what, watch=number > 0)
+            self.go(target, f"row {order.row}: {order.label!r}", watch=number > 0)
             readings.append(self.read(target))
         if any(later.moment < earlier.moment for earlier, later in pairwise(readings)):
             raise Disturbed("the computer's clock was set back")
@@ -220,7 +214,6 @@ class Bench:
         self._returned = False
 
     def _record(self, number: int, order: Order) -> dict[str, Any]:
-        """Record the whole way from the start to the end."""
         if self.recorder is None:
             raise InputError("no program records, expected one")
         what = f"row {order.row}: {order.label!r}"

@@ -18,10 +18,7 @@ from fpcal_bayes.model.cell.cell import Cell
 def sweeps_of(
     orders: Sequence[Order], outcomes: Mapping[int, Mapping[str, Any]], *, sigma: float, origin_s: float
 ) -> Sweeps | None:
-    """The rows of all orders that gave reliable numbers, as they were driven, with one `sigma` in um; or None.
-
-    `outcomes` come by the order's place; `origin_s` is the Unix time of the campaign's beginning.
-    """
+    """Rows of the orders that gave reliable numbers, or None; `sigma` in um, `origin_s` the campaign's Unix time."""
     rows: list[dict[str, Any]] = []
     for number, outcome in outcomes.items():
         if outcome["doubt"]:

@@ -59,9 +59,8 @@ class Leg:
     """One move and the reading after it."""
 
     name: str  # what it is for
-    # start, end: joint vectors in um and rad
-    start: Floats
-    end: Floats
+    start: Floats  # joint vector in um and rad
+    end: Floats  # likewise
     seconds: float  # that it takes, with settling
     gap: float  # least distance of fibre and mirror on the way, in um
     fringe_rate: float  # most fringes per second

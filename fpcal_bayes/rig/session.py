@@ -48,8 +48,7 @@ def measure(agenda: Agenda, bench: Bench, guard: Guard, tell: Callable[[Progress
         return _summary(agenda, agenda.should_stop()[1])
     try:
         bench.prepare()
-        here = bench.position()
-        legs = dry_run(guard, [agenda.orders[number] for number in agenda.left], here)
+        legs = dry_run(guard, [agenda.orders[number] for number in agenda.left], bench.position())
         agenda.begin()
         bench.before = agenda.last
         expected, began, planned = total_seconds(legs), agenda.rig.clock.ticks(), 0.0

@@ -24,11 +24,9 @@ class MachineSettings:
     """How a machine is drawn beside its sizes."""
 
     spread: float = 1.33  # a size is drawn within this factor of what is stated, either way
-    # degrees of freedom of the reading noise, scaled to the stated sigma; None for normal noise
-    student: float | None = None
-    # slow_nm, slow_rows: Standard deviation and correlation length, in rows, of a slow reading error
-    slow_nm: float = 0.0
-    slow_rows: float = 10.0
+    student: float | None = None  # degrees of freedom of the noise, scaled to the stated sigma; None: normal noise
+    slow_nm: float = 0.0  # standard deviation of a slow reading error
+    slow_rows: float = 10.0  # its correlation length, in rows
     mirror_radius_m: float = np.inf  # of the mirror's curvature; infinite for a flat one
     scale_ppm: float = 0.0  # error of the wavelength
 
@@ -49,9 +47,8 @@ class Machine:
     period: Floats
     phase: Floats
     drift: Floats  # rate of the fibre in um per minute, shape (3,), or (n_beams, 3) where there are several
-    # settings, rng: Noise and its random numbers
     settings: MachineSettings
-    rng: np.random.Generator
+    rng: np.random.Generator  # of the noise
     side: Floats = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
@@ -110,8 +107,7 @@ class Machine:
         in_tool = np.array([np.sin(theta_et), -np.sin(beta_et) * np.cos(theta_et), np.cos(beta_et) * np.cos(theta_et)])
         normal, origin = turn @ in_tool, at + z_et * turn[:, :, 2]
         away = ((origin - fibre_at) * normal).sum(axis=1)
-        facing = normal @ light if self.cell.opd == "axis" else np.ones(len(q))
-        length = away / facing
+        length = away / (normal @ light if self.cell.opd == "axis" else np.ones(len(q)))
         along = light if self.cell.opd == "axis" else normal
         # Where the light meets the mirror, seen from its origin: the sag of a curved mirror there.
         spot = fibre_at + along * length[:, None] - origin
@@ -169,8 +165,7 @@ class Machine:
             beta, alpha, d, theta, r, gain, runout_cos, runout_sin = self.vector[_STRIDE * i : _STRIDE * (i + 1)]
             turn = turn @ (_turn(ey, np.array([beta])) @ _turn(ex, np.array([alpha])))[0]
             at = at + d * turn[:, :, 0]
-            moved = np.array([f(q[:, i]) for f in self.motions[i]])
-            shifts, tilts = moved[:3], moved[3:]
+            shifts, tilts = np.split(np.array([f(q[:, i]) for f in self.motions[i]]), 2)
             axes = zero[i].T @ _axes(zero[i])
             travel = q[:, i] * (1 + gain) + reached[:, i]
             angle, along = np.full(n, theta), np.full(n, r)
@@ -283,9 +278,8 @@ def _draw_function(low: float, high: float, size: float, shape: str, rng: np.ran
 
     def raw(q: Floats) -> Floats:
         if endless:
-            wave = np.cos(order * q[:, None] + phase) @ (weight / order)
             bump = np.abs(np.sin(q - np.pi * kink)) if shape == "radial" else np.abs(np.sin((q - np.pi * kink) / 2.0))
-            return np.asarray(wave + 0.2 * kinked * bump)
+            return np.asarray(np.cos(order * q[:, None] + phase) @ (weight / order) + 0.2 * kinked * bump)
         x = (2.0 * q - low - high) / (high - low)
         return np.asarray(np.cos(rate * x[:, None] + phase) @ weight + 0.3 * kinked * np.abs(x - kink) + slope * x)
 

@@ -40,24 +40,16 @@ class RecorderSettings:
     velocity_ripple: float = 0.1  # relative amplitude of a sine in the velocity, of drawn phase
     #: Peak to peak change of the signal's gain during a recording, about, relative: a ramp and a bow in drawn shares.
     envelope_change: float = 0.01
-    #: The same of a voltage added to the signal, relative to the trace's mean fringe amplitude.
-    offset_drift: float = 0.005
+    offset_drift: float = 0.005  # the same of a voltage added, relative to the trace's mean fringe amplitude
     cyclic_error: float = 0.0  # second harmonic relative to the fringe amplitude, with a drawn phase
-    #: Standard deviation of a sample's voltage relative to the trace's mean fringe amplitude; None takes the volts that
-    #: the cell states.
-    noise: float | None = None
-    #: Whether visibility follows the mirror's distance and tilt along a trace; else it stays as at the trace's start.
-    fading: bool = True
-    #: wavelength_error, wavelength_drift: What the laser is off by, and its drift during a recording, in um; they
-    #: multiply L, so 1 pm does as 0.6 nm of L.
-    wavelength_error: float = 0.0
-    wavelength_drift: float = 0.0
-    #: temperature_c, pressure_hpa, humidity_pct: Of the air, recorded with the data; NaN: unknown, index 1.
-    temperature_c: float = float("nan")
+    noise: float | None = None  # sd of a sample, relative to the trace's mean fringe amplitude; None: the cell's volts
+    fading: bool = True  # whether visibility follows distance and tilt along a trace; else it stays as at its start
+    wavelength_error: float = 0.0  # what the laser is off by, in um; it multiplies L, so 1 pm does as 0.6 nm of L
+    wavelength_drift: float = 0.0  # how it drifts during a recording, in um
+    temperature_c: float = float("nan")  # of the air like the next two, recorded with the data; NaN: unknown, index 1
     pressure_hpa: float = float("nan")
     humidity_pct: float = float("nan")
-    #: Whether a path starts from the nearest point at half fringe height, to which the reference joint is moved.
-    quadrature: bool = True
+    quadrature: bool = True  # whether the reference joint moves to half fringe height, nearby, before a path starts
 
     def __post_init__(self) -> None:
         for name in ("duration_s", "rate_hz", "fewest_samples", "samples_per_fringe"):
@@ -84,14 +76,12 @@ class Chances:
     """What is drawn for one recording: phases and shapes of its disturbances, and the stream of its noise."""
 
     random: np.random.Generator  # stream of the noise
-    #: ripple, envelope, offset, cyclic: Phases in rad.
-    ripple: float
+    ripple: float  # phases in rad, from here to `cyclic`
     envelope: float
     offset: float
     cyclic: float
-    #: start, end: Standard normals for the joints' repeatability at either end, shape (n_joints,).
-    start: Floats
-    end: Floats
+    start: Floats  # standard normals for the joints' repeatability at the start, shape (n_joints,)
+    end: Floats  # likewise at the end
 
     @classmethod
     def several(cls, seed: int, n: int, n_joints: int) -> list["Chances"]:
@@ -144,8 +134,7 @@ class SimulatedOptics:
         n, s = len(q_start), self.settings
         if s.samples_per_fringe is None:
             return np.full(n, max(s.fewest_samples, round(s.rate_hz * s.duration_s) + 1), dtype=np.int64)
-        share = np.linspace(0.0, 1.0, _COARSE)
-        coarse = q_start[:, None] + (q_end - q_start)[:, None] * share[:, None]
+        coarse = q_start[:, None] + (q_end - q_start)[:, None] * np.linspace(0.0, 1.0, _COARSE)[:, None]
         of = np.repeat(np.arange(n), _COARSE)
         lengths = self.views(coarse.reshape(-1, q_start.shape[1]), time_h, of)[0].reshape(n, _COARSE)
         fastest = np.abs(np.diff(lengths, axis=1)).max(axis=1) * (_COARSE - 1) * (1.0 + s.velocity_ripple)

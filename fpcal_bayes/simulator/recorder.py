@@ -85,8 +85,7 @@ def record_sweeps(
         start, end = sweeps.q_start[i, joint], sweeps.q_end[i, joint]
         believed = np.where(share[part] == 1.0, end, start + (end - start) * share[part])
         read = rig.voltages((views[0][part], views[1][part], views[2][part]), chance)
-        step = settings.duration_s / (counts[i] - 1)
-        traces.append(Trace(step * np.arange(sizes[i]), believed, read))
+        traces.append(Trace(settings.duration_s / (counts[i] - 1) * np.arange(sizes[i]), believed, read))
 
     swept = np.broadcast_to(scans, n) & ~sweeps.absolute
 
@@ -166,9 +165,8 @@ def record_path(
     length, read = record(first, slice(None, n_reference))
     along = np.column_stack([np.interp(places, np.arange(len(path)), column) for column in path.T])
     if rig.settings.quadrature:
-        change = slope * (first[:, joint] - path[0, joint])
         room = slope * (np.array([cell.low[joint], cell.high[joint]]) - [along[:, joint].min(), along[:, joint].max()])
-        fitted = fit_fringe(change, read, cell.wavelength / rig.index)
+        fitted = fit_fringe(slope * (first[:, joint] - path[0, joint]), read, cell.wavelength / rig.index)
         along[:, joint] += fitted.to_quadrature(room.min(), room.max()) / slope
     last = scan_at(along[-1])
     later, later_read = record(np.vstack([along, last]), slice(n_reference, None))

@@ -128,12 +128,11 @@ def extend(
     onsets = [onset.with_session(innovation, gain, matrix @ onset.response) for onset in monitor.onsets]
     onsets.append(fresh.with_session(innovation, gain, fresh.response))
     explained, seen = _explained(onsets[-1], drift.extrinsic)
-    rest = innovation.dof - seen
     return Monitor(
         tuple(onset for onset in onsets if onset.age <= limits.looks),
         (*monitor.recent, (innovation.squared, innovation.dof))[-limits.window :],
         _summed(monitor.cusum_extrinsic, explained, seen),
-        _summed(monitor.cusum_residual, innovation.squared - explained, rest),
+        _summed(monitor.cusum_residual, innovation.squared - explained, innovation.dof - seen),
     )
 
 
@@ -153,10 +152,7 @@ def _summed(total: float, squared: float, dof: int) -> float:
 
 
 def findings(monitor: Monitor, limits: Limits, drift: DriftModel, step_gain: float = 0.0) -> list[Finding]:
-    """Tests that fail after a session that `extend` took in, those that call for a full calibration first.
-
-    An earlier change of the robot counts only if it gains more log likelihood than a knock just before, `step_gain`.
-    """
+    """Tests that fail, calls to calibrate first; an earlier change must gain more than the knock's `step_gain`."""
     last, found = monitor.onsets[-1], []
     for onset in monitor.onsets:
         found += _single_findings(onset, 0.0 if onset is last else step_gain, limits, drift)
@@ -224,7 +220,6 @@ def _single_findings(onset: Onset, least_gain: float, limits: Limits, drift: Dri
 
 
 def _allowed(per_week: float, hours: float) -> float:
-    """Share of a rate of false alarms that falls on a session."""
     return per_week * min(max(hours, 0.25), HOURS_PER_WEEK) / HOURS_PER_WEEK
 
 

@@ -85,8 +85,7 @@ def with_signs(drift: DriftModel, model: CavityModel, predicted: State, sweeps: 
         if known.any():
             part = sweeps.take(known).with_measurement(dl[known], sweeps.sigma[known])
             state = update(predicted, SweepMeasurement.of(drift, model, part, predicted.mean)).state
-        rows = sweeps.laid_out(model)
-        expected, jacobian = model.predict_with_jacobian(drift.values(state.mean), rows)
+        expected, jacobian = model.predict_with_jacobian(drift.values(state.mean), sweeps.laid_out(model))
         scaled, n = jacobian * drift.scale, drift.n_lengths
         if drift.motions is not None:
             _, felt = drift.motions.rows(model, sweeps, drift.values(state.mean))
@@ -166,8 +165,7 @@ def outlying_sweep(
             special.gammaln((3 + p) / 2) - special.gammaln(1.5) - (3 + p) / 2 * np.log1p(far) - p / 2 * np.log(np.pi)
         )
         normal = -0.5 * (float(away @ along[rows]) + p * np.log(2.0 * np.pi))
-        volumes = 0.5 * (np.linalg.slogdet(noise[at])[1] - np.linalg.slogdet(inverse[at])[1])
-        gain = float(tails - normal + volumes)
+        gain = float(tails - normal + 0.5 * (np.linalg.slogdet(noise[at])[1] - np.linalg.slogdet(inverse[at])[1]))
         if gain > best:
             best, chosen = gain, rows
     return chosen

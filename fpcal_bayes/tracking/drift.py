@@ -193,8 +193,7 @@ def likely_drift(cell: Cell, sweeps: Sweeps) -> DriftModel:
     """The drift that a cell states; where it states walks alone and a temperature is logged, with `likely_terms`."""
     stated = DriftModel.of(cell)
     walks_only = all(size == DriftSize(size.name, walk=size.walk) for size in stated.sizes)
-    logged = bool(np.isfinite(sweeps.temperature_c).any())
-    return likely_terms(stated) if logged and walks_only else stated
+    return likely_terms(stated) if bool(np.isfinite(sweeps.temperature_c).any()) and walks_only else stated
 
 
 def likely_terms(drift: DriftModel) -> DriftModel:

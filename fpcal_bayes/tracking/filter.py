@@ -81,10 +81,8 @@ class Update(Brief):
     state: State  # after the rows
     innovation: Innovation  # what they said beyond the prediction
     equivalent: Floats  # derivatives of the equivalent rows of `misfit` and `jacobian`, (n_equivalent, n_states)
-    # misfit, jacobian: linearisation of all rows at the solution, as an innovation: whitened measurement minus what the
-    # linearised prediction makes of the predicted state, shapes (n_rows,) and (n_rows, n_states)
-    misfit: Floats
-    jacobian: Floats
+    misfit: Floats  # whitened measurement minus the predicted state's, all rows linearised at the solution, (n_rows,)
+    jacobian: Floats  # likewise, shape (n_rows, n_states)
     converged: bool  # whether the iteration came to rest
 
     @property
@@ -101,8 +99,7 @@ def predict(drift: DriftModel, state: State, time_h: float, temperature_c: float
     """The state at a later time, before anything is measured then; an unlogged temperature is NaN, unchanged."""
     kelvin = kelvin_between(state.temperature_c, temperature_c)
     mean, covariance = drift.propagate(state.mean, state.covariance, time_h - state.time_h, kelvin)
-    known = state.temperature_c if isnan(temperature_c) else temperature_c
-    return State(time_h, mean, covariance, known)
+    return State(time_h, mean, covariance, state.temperature_c if isnan(temperature_c) else temperature_c)
 
 
 def kelvin_between(before: float, after: float) -> float:
@@ -123,8 +120,7 @@ def update(state: State, measurement: Measurement) -> Update:
     for number in range(0 if converged else _MAX_STEPS):
         # The state is prior + covariance @ pull throughout.
         rows, derivatives = equivalent_rows(misfit + jacobian @ (mean - prior), jacobian)
-        total = derivatives @ (covariance @ derivatives.T) + np.eye(len(rows))
-        wanted = derivatives.T @ np.linalg.solve(total, rows)
+        wanted = derivatives.T @ np.linalg.solve(derivatives @ (covariance @ derivatives.T) + np.eye(len(rows)), rows)
         step = wanted - pull
         length = float(np.sqrt(max(float(step @ covariance @ step), 0.0)))
         if length < _STEP_TOLERANCE:

@@ -105,8 +105,7 @@ def with_learnt_pace(found: Track, parts: list[Sweeps], follow: Callable[[Track]
     together = special.logsumexp(prior + likely)
     if found.drift.pace == (1.0, 1.0) and together - likely[len(grid) // 2] < _CONTRADICTED:
         return found
-    weights = np.exp(prior + likely - together)
-    log = np.where(drifts, 0.5 * np.log(weights @ np.exp(2.0 * grid)), 0.0)
+    log = np.where(drifts, 0.5 * np.log(np.exp(prior + likely - together) @ np.exp(2.0 * grid)), 0.0)
     if np.abs(log - np.log(found.drift.pace)).max() < _CHANGED:
         return found
     drift = replace(found.drift, pace=tuple(np.exp(log).tolist()))

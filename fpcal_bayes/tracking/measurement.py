@@ -59,8 +59,7 @@ class SweepMeasurement(Brief):
         """The measurement of `sweeps`; what joints add is carried through the model at the state `mean`."""
         rows, values = sweeps.laid_out(model), drift.values(mean)
         if drift.motions is None:
-            whitening = with_scale(whitening_of(model, sweeps, values), sweeps)
-            return cls(drift, model, rows, sweeps.dl, whitening)
+            return cls(drift, model, rows, sweeps.dl, with_scale(whitening_of(model, sweeps, values), sweeps))
         return cls(drift, model, rows, sweeps.dl, *drift.motions.rows(model, sweeps, values))
 
     @property

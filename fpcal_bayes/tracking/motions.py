@@ -101,7 +101,6 @@ class MotionStates(Brief):
 
     @cached_property
     def _made(self) -> dict[tuple[bytes, ...], tuple[MarginalWhitening, Floats]]:
-        """What `rows` gave last."""
         return {}
 
     def rows(self, model: CavityModel, sweeps: Sweeps, values: Floats) -> tuple[MarginalWhitening, Floats]:

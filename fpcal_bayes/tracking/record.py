@@ -147,7 +147,6 @@ def _summary(outcome: SessionOutcome, sweeps: Sweeps) -> dict[str, Any]:
 
 
 def _motions_content(first: SessionOutcome) -> dict[str, Any]:
-    """What a calibration found of a machine, beside its state; nothing of a perfect mechanism."""
     if first.motions is None:
         return {}
     rows = first.measurement.target.tolist() if isinstance(first.measurement, SweepMeasurement) else None
@@ -156,7 +155,6 @@ def _motions_content(first: SessionOutcome) -> dict[str, Any]:
 
 
 def _with_rows(track: Track, sweeps: Sweeps, rows: Sequence[float]) -> SessionOutcome:
-    """The calibration of a machine with its rows as they were taken in."""
     first, used = track.outcomes[0], sweeps.take(sweeps.kind != "path")
     model = CavityModel.of(track.cell, track.drift.parameters)
     measurement = SweepMeasurement.of(track.drift, model, used, first.state.mean)
@@ -194,7 +192,6 @@ def _track(record: TrackRecord, summary: dict[str, Any], cell: Cell, drift: Drif
             response, information = record.onset_response[at], record.onset_information[at]
             onsets.append(Onset(**entry, response=response, information=information, score=record.onset_score[at]))
             at += 1
-        monitor = Monitor(tuple(onsets), tuple((x, n) for x, n in stated["recent"]), *stated["cusum"])
         outcomes.append(
             SessionOutcome(
                 **{name: stated[name] for name in _PLAIN},
@@ -203,7 +200,7 @@ def _track(record: TrackRecord, summary: dict[str, Any], cell: Cell, drift: Drif
                 jump=record.jump[i],
                 predicted=predicted,
                 state=state,
-                monitor=monitor,
+                monitor=Monitor(tuple(onsets), tuple((x, n) for x, n in stated["recent"]), *stated["cusum"]),
                 trust=trust_of(stated["trust"]),
                 motions=None if outcomes else drift.motions,
             )

@@ -129,8 +129,6 @@ class _Judged:
 
 @dataclass(frozen=True)
 class _Judge:
-    """The tests at one session."""
-
     drift: DriftModel
     limits: Limits
     session_name: str
@@ -144,11 +142,9 @@ class _Judge:
         return self._states(np.where(self.drift.extrinsic, size * self.limits.jump(self.drift), 0.0))
 
     def jumps(self) -> tuple[Floats, ...]:
-        """Jumps of mirror and fibre, and of all parameters."""
         return *(self.step(size) for size in _STEP_SIZES), self._states(self.limits.jump(self.drift))
 
     def judged(self, measurement: SweepMeasurement) -> _Judged:
-        """The session as it is taken in without a jump."""
         taken = update(self.predicted, measurement)
         after = self.extended(self.monitor, taken.linearised(self.predicted), taken.gain)
         return _Judged(measurement, taken, after, findings(after, self.limits, self.drift))
@@ -163,8 +159,7 @@ class _Judge:
             sigma[rows] *= _SET_ASIDE
             left.append(str(used.label[rows[0]]))
             aside = used.with_measurement(as_it_is.measurement.target, sigma)
-            model, mean = judged.measurement.model, self.predicted.mean
-            judged = self.judged(SweepMeasurement.of(self.drift, model, aside, mean))
+            judged = self.judged(SweepMeasurement.of(self.drift, judged.measurement.model, aside, self.predicted.mean))
             if not judged.found:
                 return judged, [
                     f"read far off, where no change of the cell would put it, and left out: {', '.join(left)}"
@@ -219,7 +214,6 @@ class _Judge:
         return "mechanics-moved", [finding, *found], np.maximum(every, moved)
 
     def extended(self, monitor: Monitor, innovation: Innovation, gain: Floats) -> Monitor:
-        """The memory with this session in it."""
         return extend(monitor, self.session_name, self.hours, innovation, gain, self.matrix, self.limits, self.drift)
 
     def _states(self, parameters: Floats) -> Floats:

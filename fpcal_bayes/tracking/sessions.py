@@ -107,8 +107,7 @@ def _refuse_future(parts: list[Sweeps], now_h: float | None) -> None:
                 raise _refusal(part, np.argmax(part.time_h), text, "time_h")
             continue
         for i in np.flatnonzero(part.utc != ""):
-            ahead = (clock(str(part.utc[i])) - datetime.now(UTC)).total_seconds() / 3600.0
-            if ahead > _CLOCK_SLACK_H:
+            if (clock(str(part.utc[i])) - datetime.now(UTC)).total_seconds() / 3600.0 > _CLOCK_SLACK_H:
                 text = "lies in the future by this machine's clock (give --now to say when it is)"
                 raise _refusal(part, i, text, "utc")
 

@@ -48,8 +48,7 @@ def smooth(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> Smoothed:
         return Smoothed((outcomes[0].state,), np.zeros((1, drift.n_states, drift.n_states)), outcomes[0].converged)
     course = _Course.of(drift, outcomes)
     means = np.array([outcome.state.mean for outcome in outcomes]) - course.shifts
-    covariances = np.array([outcome.state.covariance for outcome in outcomes])
-    trajectory = course.smoothed(means, covariances)
+    trajectory = course.smoothed(means, np.array([outcome.state.covariance for outcome in outcomes]))
     cost, converged = course.cost(trajectory), False
     for _ in range(_MOST_STEPS):
         wanted = course.smoothed(*course.filtered(trajectory.means))
@@ -114,7 +113,6 @@ class _Course:
 
     @classmethod
     def of(cls, drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> "_Course":
-        """From the calibration on."""
         n = drift.n_states
         matrices, noises, shifts = [np.eye(n)], [np.zeros((n, n))], [np.zeros(n)]
         for before, outcome in pairwise(outcomes):
@@ -130,8 +128,7 @@ class _Course:
         if outcomes[0].measurement is not None:
             # All states are in units of their prior.
             start = replace(start, mean=np.zeros(n), covariance=np.eye(n))
-        measurements = [outcome.measurement for outcome in outcomes]
-        return cls(start, np.array(matrices), np.array(noises), np.array(shifts), measurements)
+        return cls(start, np.array(matrices), np.array(noises), np.array(shifts), [o.measurement for o in outcomes])
 
     def filtered(self, at: Floats) -> tuple[Floats, Floats]:
         """Means and covariances after each session, its rows linearised at `at`, shape (n_times, n_states)."""
@@ -152,7 +149,6 @@ class _Course:
         return np.array(means), np.array(covariances)
 
     def smoothed(self, means: Floats, covariances: Floats) -> _Trajectory:
-        """The trajectory that follows from the states after each session."""
         # The method of the class uses the transition into each time; the function of the module does not.
         smoothed, spread, gains, predicted = kalman(self.start).rts_smoother(
             means, covariances, self.matrices, self.noises
@@ -214,7 +210,6 @@ def looked_at_again(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> Se
 
 
 def _is_due(outcomes: Sequence[SessionOutcome]) -> bool:
-    """Whether the sessions are to be looked at again."""
     count = len(outcomes) - 1
     alarms = [number for number, outcome in enumerate(outcomes) if outcome.jump.any()]
     since = count - alarms[-1] if alarms else 0

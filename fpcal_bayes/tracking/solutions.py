@@ -49,8 +49,7 @@ def solutions_of(found: Identification, draws: Floats) -> tuple[CalibrationSolut
     distances = []
     for minimum in minima:
         away = (draws - problem.values(minimum.unknowns)) / found.free.prior_sd
-        whitened = away @ problem.jacobian(minimum.unknowns)[:, : problem.n_free].T
-        distances.append((whitened**2).sum(axis=1))
+        distances.append(((away @ problem.jacobian(minimum.unknowns)[:, : problem.n_free].T) ** 2).sum(axis=1))
     nearest = np.argmin(distances, axis=0)
     solutions = []
     for number, minimum in enumerate(minima):
@@ -80,8 +79,7 @@ def likeliest(
     looks = list(parts[: LOOKS + 1])
     courses = [list(together[: LOOKS + 1])]
     for start, _ in starts:
-        own = followed_drift(drift, model, start)
-        courses.append(follow_sessions(own, model, limits, [start], looks))
+        courses.append(follow_sessions(followed_drift(drift, model, start), model, limits, [start], looks))
     evidence = np.log([1.0, *(share for _, share in starts)])
     counted = [outcomes for outcomes in zip(*(course[1:] for course in courses), strict=True) if _is_evidence(outcomes)]
     for outcomes in counted:

@@ -53,8 +53,7 @@ def linear_start(estimate: Estimate, draws: Floats, sweeps: Sweeps) -> Estimate:
         jacobians.append(jacobian * sd / SIGMA)
         changes.append((model.predict(draws, rows) - predicted) / SIGMA)
     moved = np.linalg.lstsq(np.vstack(jacobians), np.hstack(changes).T, rcond=None)[0].T
-    covariance = moved.T @ moved / len(moved) + _JITTER * np.eye(len(sd))
-    return replace(estimate, covariance=covariance * np.outer(sd, sd))
+    return replace(estimate, covariance=(moved.T @ moved / len(moved) + _JITTER * np.eye(len(sd))) * np.outer(sd, sd))
 
 
 #: Combinations known better than this, in prior standard deviations, turn the geometry by nothing that matters.
@@ -83,8 +82,7 @@ def _turns(
     """B(s) for each column s that matters, shape (n, n) each; arrays come as bytes, since each round asks again."""
     model, n = CavityModel(cell, free, np.frombuffer(held).copy(), *sides), len(free)
     at, known = np.frombuffer(mean).copy(), np.frombuffer(covariance).reshape(n, n)
-    asked = seen_by_all(candidate_sweeps(cell, n=N_SWEEPS, rng=np.random.default_rng(0)), cell)
-    rows = asked.laid_out(model)
+    rows = seen_by_all(candidate_sweeps(cell, n=N_SWEEPS, rng=np.random.default_rng(0)), cell).laid_out(model)
 
     def seen(state: Floats) -> Floats:
         return model.predict_with_jacobian(free.nominal + free.prior_sd * state, rows)[1] * free.prior_sd / SIGMA

@@ -168,8 +168,7 @@ def track(
         known = Track(cell, drift, (first,), status, 0, max(1, len(starts)))
     else:
         known = replace(known, resumed=len(known.outcomes))
-    first = known.outcomes[0]
-    hidden = followed_drift(drift, model, first)
+    hidden = followed_drift(drift, model, known.outcomes[0])
     outcomes = follow_sessions(hidden, model, limits, known.outcomes, parts)
     if starts:
         course = likeliest(drift, model, limits, outcomes, starts, parts)
@@ -201,8 +200,7 @@ def calibrate(
     measurement = _measurement(drift, found)
 
     def outcome_of(estimate: Estimate, squared: float, measurement: Measurement | None) -> SessionOutcome:
-        outcome = start(drift, estimate, sweeps, found, warnings)
-        return replace(outcome, nis=squared, measurement=measurement)
+        return replace(start(drift, estimate, sweeps, found, warnings), nis=squared, measurement=measurement)
 
     draws = independent_draws(found, _DRAWS) if found.converged else np.zeros((0, found.problem.n_free))
     together = linear_start(found.estimate, draws, found.problem.sweeps) if len(draws) else found.estimate
@@ -211,8 +209,7 @@ def calibrate(
     status = tuple("gauge" if g else s for g, s in zip(gauge, found.estimate.status, strict=True))
     # Rows linearised at one point say nothing of a second solution.
     first = outcome_of(together, found.solution.sum_of_squares, None if alone else measurement)
-    starts = tuple((outcome_of(one.estimate, one.sum_of_squares, measurement), one.share) for one in alone)
-    return first, status, starts
+    return first, status, tuple((outcome_of(one.estimate, one.sum_of_squares, measurement), one.share) for one in alone)
 
 
 def _machine_outcome(
@@ -267,7 +264,6 @@ def start(
 
 
 def _identified(cell: Cell, drift: DriftModel, sweeps: Sweeps) -> tuple[Identification, tuple[str, ...]]:
-    """The calibration, slips of its fringe counts corrected, and warnings about them."""
     found = identify(cell, sweeps, free=drift.parameters.names)
     slipped = any(reason.kind == "slips" for reason in found.estimate.trust.reasons)
     return _without_slips(cell, drift, found) if slipped or found.fit.p_value < POOR_FIT_BELOW else (found, ())

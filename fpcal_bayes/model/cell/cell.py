@@ -76,11 +76,9 @@ class Cell:
         own = np.arange(len(self.parameters) - len(EXTRINSICS), len(self.parameters))
         if not self.further:
             return (View(self, np.concatenate([links, own])),)
-        beams = [Beam(self.beam, self.target, self.wavelength, self.opd, self.optical_axis, ()), *self.further]
         made = []
-        for beam in beams:
-            at = self.parameters.positions(beam.parameters) if beam.parameters else own
-            index = np.concatenate([links, at])
+        for beam in [Beam(self.beam, self.target, self.wavelength, self.opd, self.optical_axis, ()), *self.further]:
+            index = np.concatenate([links, self.parameters.positions(beam.parameters) if beam.parameters else own])
             parameters = ParameterSet(
                 replace(self.parameters[int(i)], name=self.parameters[int(i)].name.partition(AT)[0], slot=slot)
                 for slot, i in enumerate(index)
@@ -217,11 +215,10 @@ def check_joints(
     """Raise `InputError` at the first of joint vectors (n, n_joints), in um and rad, outside the cell's limits."""
     # The tolerance lets a limit written in degrees survive its conversion to radians.
     slack = 1e-9 * (1.0 + np.abs(q))
-    outside = (q < cell.low - slack) | (q > cell.high + slack)
     # An endless joint that stands many turns away is a value in another unit.
     endless = cell.revolute & np.isinf(cell.low) & np.isinf(cell.high)
     far = endless & (np.abs(q) > _MOST_TURNS * 2.0 * np.pi + slack)
-    for bad in (far, outside):
+    for bad in (far, (q < cell.low - slack) | (q > cell.high + slack)):
         if bad.any():
             row, column = (int(i) for i in np.argwhere(bad)[0])
             joint, scale = cell.joints[column], cell.joint_scales[column]

@@ -110,18 +110,15 @@ def _other_side(fibre: Floats, light: Floats, ahead: float) -> str:
 
 def _turn_mirror(cell: Cell, vector: Floats, wanted: Floats) -> str:
     """The angles of the mirror in the tool frame that turn its normal along `wanted`."""
-    tool = chain.tool_pose(cell, vector, home(cell))
-    beta, theta = mirror_angles(tool[:3, :3].T @ wanted)
+    beta, theta = mirror_angles(chain.tool_pose(cell, vector, home(cell))[:3, :3].T @ wanted)
     beta_deg, theta_deg = wrapped(np.degrees(beta)), wrapped(np.degrees(theta))
-    angles = f"beta_et nominal_deg = {beta_deg:g}, theta_et nominal_deg = {theta_deg:g}"
-    return f"to turn it there: {angles}{_OR_AXES}"
+    return f"to turn it there: beta_et nominal_deg = {beta_deg:g}, theta_et nominal_deg = {theta_deg:g}{_OR_AXES}"
 
 
 def mirror_angles(normal: Floats) -> tuple[float, float]:
     """beta_et and theta_et in rad that put the mirror's normal along `normal` (3,) of the tool frame, paper (14)."""
-    theta = float(np.arcsin(np.clip(normal[0], -1.0, 1.0)))
     beta = 0.0 if np.hypot(normal[1], normal[2]) < 1e-9 else float(np.arctan2(-normal[1], normal[2]))
-    return beta + 0.0, theta + 0.0
+    return beta + 0.0, float(np.arcsin(np.clip(normal[0], -1.0, 1.0))) + 0.0
 
 
 def _degrees(vector: Floats, name: str, cell: Cell) -> float:

@@ -27,11 +27,9 @@ class JointMechanics:
     straightness_nm: float = 0.0
     flatness_nm: float | None = None
     crosstalk_nm: float = 0.0
-    # pitch_urad, yaw_urad, roll_urad: Peak to valley of the tilts; yaw about the upward direction, roll about the
-    # joint's own
-    pitch_urad: float = 0.0
-    yaw_urad: float = 0.0
-    roll_urad: float = 0.0
+    pitch_urad: float = 0.0  # peak to valley of the tilts, as of the next two
+    yaw_urad: float = 0.0  # about the upward direction
+    roll_urad: float = 0.0  # about the joint's own
     # radial_runout_nm, axial_runout_nm, wobble_urad: Of a joint that turns: half of peak to valley. An endless joint's
     # fundamental radial harmonic is eccentricity, a matter of geometry, and is not counted
     radial_runout_nm: float = 0.0

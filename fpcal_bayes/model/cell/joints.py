@@ -38,9 +38,8 @@ class Joint:
     """One joint; lengths in um, angles in rad."""
 
     kind: JointKind
-    # low, high: limits, infinite where there is none
-    low: float
-    high: float
+    low: float  # limit, infinite where there is none
+    high: float  # likewise
     repeatability: float  # standard deviation of the reached position
     controller: ControllerAxis | None
     resolution: float = 0.0  # smallest step; zero where it is not stated

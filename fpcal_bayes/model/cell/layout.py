@@ -44,10 +44,9 @@ class Layout:
     kinds: tuple[JointKind, ...]  # one entry per joint, from base to tool
     links: Floats  # beta, alpha, d, theta, r of each link, shape (n_joints, 5)
     free: frozenset[str]  # names of the parameters that are worth a prior
-    # beta_et, theta_et, beta_wf, theta_wf: angles of mirror and fibre
-    beta_et: float
+    beta_et: float  # angles of the mirror
     theta_et: float
-    beta_wf: float
+    beta_wf: float  # angles of the fibre
     theta_wf: float
     fibre: Floats  # end of the fibre in the world frame, shape (3,)
     side: Floats  # direction from the mirror to the fibre, shape (3,)
@@ -60,16 +59,14 @@ class Layout:
 
 def read_axes(text: str) -> tuple[AxisWord, ...]:
     """Axes from words such as ``x y z rx rz -ry``, from base to mirror; `InputError` if a word is none."""
-    words = text.replace(",", " ").split()
     axes = []
-    for word in words:
+    for word in text.replace(",", " ").split():
         found = _WORD.fullmatch(word.lower())
         if found is None or (found["inner"] and not found["turns"]) or (found["sign"] and found["inner"]):
             allowed = "x, y or z (moves along), rx, ry or rz (turns about), with - in front"
             raise InputError(f"axis {word!r:.40}: expected {allowed}")
-        sign = -1 if "-" in (found["sign"], found["inner"]) else 1
         direction = [0, 0, 0]
-        direction["xyz".index(found["axis"])] = sign
+        direction["xyz".index(found["axis"])] = -1 if "-" in (found["sign"], found["inner"]) else 1
         axes.append(AxisWord("revolute" if found["turns"] else "prismatic", (direction[0], direction[1], direction[2])))
     if not 1 <= len(axes) <= _MOST_AXES:
         raise InputError(f"{len(axes)} axes: expected 1 to {_MOST_AXES}, from base to mirror, as in 'x y z rx rz ry'")
@@ -103,8 +100,7 @@ def layout_of_axes(axes: Sequence[AxisWord], side: Floats, gap: float) -> Layout
         else:
             links[i, 1] = np.degrees(np.arctan2(-wanted[1], wanted[2])) + 0.0
         frame = frame @ (chain.rot_y(np.radians(links[i, 0])) @ chain.rot_x(np.radians(links[i, 1])))[:3, :3]
-    kinds = tuple(axis.kind for axis in axes)
-    return _faced(kinds, links, side, gap)
+    return _faced(tuple(axis.kind for axis in axes), links, side, gap)
 
 
 def layout_of_links(kinds: Sequence[JointKind], links: Floats, side: Floats, gap: float) -> Layout:
@@ -153,10 +149,9 @@ def _turns(frame: Floats, side: Floats, across: Floats, about: float) -> list[fl
 def _mirror_choices(normal: Floats) -> list[tuple[float, float]]:
     """Angles beta_et and theta_et in deg that put the mirror's normal along `normal` (3,) of the tool frame."""
     beta, theta = (round(float(np.degrees(angle)), 6) for angle in mirror_angles(normal))
-    choices = [(beta, theta), (wrapped(beta + 180.0), wrapped(180.0 - theta))]
     if np.hypot(normal[1], normal[2]) < 1e-6:
-        choices = [(quarter, theta) for quarter in _QUARTERS]
-    return choices
+        return [(quarter, theta) for quarter in _QUARTERS]
+    return [(beta, theta), (wrapped(beta + 180.0), wrapped(180.0 - theta))]
 
 
 def _worth_a_prior(

@@ -39,9 +39,8 @@ class Envelope:
     max_tilt: float  # largest angle between the mirror's normal and the light turned round
     max_fringe_rate: float  # half waves a second that the cavity length may change by
     together: tuple[tuple[int, ...], ...] = ()  # groups of joints, by position, that may move at the same time
-    # gap, gap_sd: measured cavity length at joint zero and its standard deviation, or None where nobody has measured it
-    gap: float | None = None
-    gap_sd: float | None = None
+    gap: float | None = None  # measured cavity length at joint zero, or None where nobody has measured it
+    gap_sd: float | None = None  # its standard deviation
 
 
 Beams = Literal["two-beam", "airy"]
@@ -85,9 +84,8 @@ class OwnTask:
     name: str  # by which commands take it
     kind: str  # one of `OWN_KINDS`
     radius: float = 0.0  # radius of a circle; 0 for other kinds
-    # low, high: ends of a line, a tilt or a spin; 0 for a circle
-    low: float = 0.0
-    high: float = 0.0
+    low: float = 0.0  # end of a line, a tilt or a spin; 0 for a circle
+    high: float = 0.0  # likewise
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  # offset of the middle: x, y, z in um
     # largest peak to peak by degree of freedom: ``beam``, ``x``, ``z`` in um, ``rx``, ``ry``, ``rz`` in rad
     tolerances: dict[str, float] = field(default_factory=dict)

@@ -34,9 +34,8 @@ class Design(Brief):
     # what the return errors of joints that stand still in a row do to it: change of the response between its ends times
     # the return's sd, shape (n_rows, n_joints)
     returned: Floats
-    # reached_start, reached_end: the same of joints that are reached anew at an end, shape (n_rows, n_joints)
-    reached_start: Floats
-    reached_end: Floats
+    reached_start: Floats  # the same of joints that are reached anew at an end, shape (n_rows, n_joints)
+    reached_end: Floats  # likewise
 
     @cached_property
     def motion_count(self) -> int:
@@ -53,10 +52,8 @@ class PathDesign:
     # of a sign per joint: the direction from which the start was reached, shape (n_points, n_joints)
     unknown_side: Floats
     drift: Floats  # of the drift's polynomials: change per um of fibre displacement in x, y, z, shape (n_points, 3)
-    # returned_start, returned_point: of standard normal return errors at the start and at each point, shapes (n_points,
-    # n_joints)
-    returned_start: Floats
-    returned_point: Floats
+    returned_start: Floats  # of standard normal return errors at the start, shape (n_points, n_joints)
+    returned_point: Floats  # likewise at each point
     encoded: Floats  # the same of encoders of unknown period, the start first, shape (n_points + 1, n_joints)
     poses: Floats  # joint vectors, the start first, shape (n_points + 1, n_joints)
     drive: Floats  # of the joints' own travel at these poses, same shape
@@ -103,7 +100,6 @@ def at_poses(terms: Terms, q: Floats, at: Responses) -> Floats:
 
 
 def _names(terms: Terms) -> tuple[list[str], list[int]]:
-    """Names and scales of the columns of `at_poses`."""
     index = {name: i for i, name in enumerate(terms.scales)}
     each = [(motion.name, motion.scale) for motion in terms.motions for _ in range(int((motion.sd > 0).sum()))]
     each += [(f"radial runout of q{m.joint + 1}, against the turn", m.scale) for m in terms.elliptic for _ in "cs"]
@@ -149,7 +145,6 @@ def design(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> Design:
 
 
 def _of_session(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> Design:
-    """The design matrix of the rows of one session."""
     cell, index = terms.cell, {name: i for i, name in enumerate(terms.scales)}
     beam = cell.beam_numbers(drive.beam)
     end = responses(cell, vector, terms.told, drive.q_end, beam)
@@ -194,8 +189,7 @@ def _of_session(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> De
     encoded, left = _shared(travel * _unknown_encoder(terms), places.transpose(1, 0, 2), np.arange(len(drive)), sigma)
     # An encoder's error at a position that no other row has counts as return.
     effects = np.copysign(np.hypot(travel * terms.return_sd, left), travel)
-    reached = np.stack([drive.start_reach, drive.end_reach])
-    returned, (starts, ends) = _shared(effects, reached, drive.sweep, sigma)
+    returned, (starts, ends) = _shared(effects, np.stack([drive.start_reach, drive.end_reach]), drive.sweep, sigma)
     for word, kind, found in (("position of", "encoder", encoded), ("return of", "return", returned)):
         parts += [column[:, None] for _, column in found]
         names += [f"{word} q{joint + 1}" for joint, _ in found]
@@ -273,8 +267,7 @@ def _slow(terms: Terms, n: int, sigma: Floats) -> Floats:
     k = np.arange(1, count + 1)
     weight = 1.0 / (1.0 + (k / (_KNEE * count)) ** 2)
     weight *= size / np.sqrt((weight**2).sum())
-    angles = np.pi * (np.arange(n)[:, None] + 0.5) * k / n
-    return np.asarray(np.sqrt(2.0) * np.cos(angles) * weight, dtype=np.float64)
+    return np.asarray(np.sqrt(2.0) * np.cos(np.pi * (np.arange(n)[:, None] + 0.5) * k / n) * weight, dtype=np.float64)
 
 
 def pose_designs(terms: Terms, vector: Floats, start_q: Floats, q: Floats) -> list[PathDesign]:

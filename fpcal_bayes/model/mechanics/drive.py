@@ -13,21 +13,16 @@ from fpcal_bayes.core.typing import Bools, Floats, Ints
 class Drive(Brief):
     """Rows in the order in which they were driven; joint vectors in um and rad."""
 
-    # q_start, q_end: shape (n, n_joints)
-    q_start: Floats
-    q_end: Floats
+    q_start: Floats  # shape (n, n_joints)
+    q_end: Floats  # likewise
     absolute: Bools  # rows that give L(end) itself, shape (n,)
     sweep: Ints  # number of the sweep that each row belongs to: rows that share the reading at their start, shape (n,)
-    # start_side, end_side: direction in which each joint reached the pose: -1, 0 (not known), +1, shape (n, n_joints)
-    start_side: Floats
-    end_side: Floats
-    # start_reach, end_reach: number of the position that each joint has reached: the same while it stands still, shape
-    # (n, n_joints)
-    start_reach: Ints
-    end_reach: Ints
-    # start_min, end_min: when start and end were read, in minutes, shape (n,)
-    start_min: Floats
-    end_min: Floats
+    start_side: Floats  # direction in which each joint reached the pose: -1, 0 (not known), +1, shape (n, n_joints)
+    end_side: Floats  # likewise
+    start_reach: Ints  # number of the position that each joint has, the same while it stands still, (n, n_joints)
+    end_reach: Ints  # likewise
+    start_min: Floats  # when the start was read, in minutes, shape (n,)
+    end_min: Floats  # likewise
     # how long the sweep of each row is thought to have taken where its times are not stated, else zero, shape (n,)
     span_min: Floats
     # number of the session that each row was read in, shape (n,): each begins at minute zero, with every joint reached
@@ -96,8 +91,7 @@ def sides_after(steps: Floats) -> Floats:
     """Directions of approach after each step (n, n_joints), zero before a joint's first: the last one not zero."""
     latest = np.where(steps != 0, np.arange(1, len(steps) + 1)[:, None], 0)
     latest = np.maximum.accumulate(latest, axis=0)
-    known = np.vstack([np.zeros(steps.shape[1]), np.sign(steps)])
-    return np.take_along_axis(known, latest, axis=0)
+    return np.take_along_axis(np.vstack([np.zeros(steps.shape[1]), np.sign(steps)]), latest, axis=0)
 
 
 def _steps(poses: Floats, still: Floats | float) -> Floats:

@@ -60,10 +60,7 @@ def known_task_errors(
 def known_pose_errors(
     estimate: Estimate, start: Floats, q: Floats, *, draws: int = 10_000, seed: int = 0
 ) -> tuple[Floats, Floats]:
-    """Deviations of the parameters; what is added to the mirror's pose, (n_draws, n_points, 5), as `pose_responses`.
-
-    Weights that no length feels are drawn as the cell states them.
-    """
+    """Deviations of parameters and mirror poses (n_draws, n_points, 5); weights that no length feels are as stated."""
     drawn, total = _Drawn.of(estimate, draws, seed), []
     paths = pose_designs(drawn.terms, estimate.vector(), start, q)
     weights = drawn.weights[:, ~drawn.drifting] + drawn.unfelt(paths[0].scale)
@@ -110,7 +107,6 @@ class _Drawn:
         return cls(estimate, seed, terms, at + z @ slopes.T, words, drifting, mean + z @ factor.T, log)
 
     def rng(self) -> np.random.Generator:
-        """Random numbers of what is new each time, the same at each call."""
         rng = np.random.default_rng([self.seed, 2])
         rng.permutation(len(self.log_scales))
         return rng
@@ -131,8 +127,7 @@ class _Drawn:
         assert knowledge is not None
         _, _, factor = knowledge.weights(knowledge.n_parameters)
         sizes = np.exp(self.log_scales[:, scale])
-        typical = np.sqrt((sizes**2).mean(axis=0))
-        told = linalg.orth(factor[~self.drifting] / typical[:, None])
+        told = linalg.orth(factor[~self.drifting] / np.sqrt((sizes**2).mean(axis=0))[:, None])
         free = np.random.default_rng([self.seed, 3]).standard_normal(sizes.shape)
         return sizes * (free - free @ told @ told.T)
 
@@ -144,8 +139,7 @@ def known_task_sd(estimate: Estimate, start: Floats, q: Floats, added: Floats | 
         raise InputError("the estimate knows nothing of the cell's mechanics")
     terms, names = knowledge.terms(estimate.cell), estimate.parameters.names
     jacobian, path = _along(estimate, terms, start, q)
-    factors = np.exp(2.0 * knowledge.log_scales).mean(axis=0)
-    scale = dict(zip(terms.scales, factors.tolist(), strict=True))
+    scale = dict(zip(terms.scales, np.exp(2.0 * knowledge.log_scales).mean(axis=0).tolist(), strict=True))
 
     words, mean, factor = knowledge.weights(knowledge.n_parameters)
     drifting = np.array([word.startswith("drift along") for word in words], dtype=bool)

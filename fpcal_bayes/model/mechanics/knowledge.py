@@ -88,10 +88,7 @@ class MechanicsKnowledge(Brief):
 
 
 def knowledge_of(content: dict[str, Any], sizes: Mechanics, parameters: ParameterSet, cell: Cell) -> MechanicsKnowledge:
-    """What `MechanicsKnowledge.content` wrote; `ValueError` if it does not hold together.
-
-    Weights of higher orders, which files of older programs do not hold, are zero.
-    """
+    """What `MechanicsKnowledge.content` wrote, zero for orders that older files lack; `ValueError` if damaged."""
     names, free, scales = (tuple(map(str, content[key])) for key in ("names", "free", "scales"))
     mean, factor, draws, log_scales = (
         np.array(content[key], dtype=float) for key in ("mean", "factor", "draws", "log_scales")

@@ -127,11 +127,9 @@ def responses(cell: Cell, vector: Floats, told: Directions, q: Floats, beam: Int
 
 def pose_responses(cell: Cell, vector: Floats, told: Directions, q: Floats) -> list[Responses]:
     """Derivatives of place (x, z) and direction (x, y, z) of the mirror point of joint zero, in the fibre frame."""
-    zero = np.zeros(len(cell.joints))
-    in_mirror = np.append(chain.reflection_point(cell, vector, zero)[1].real, 1.0)
-    in_tool = (chain.mirror_in_tool(cell, vector).real @ in_mirror)[:3]
+    in_mirror = np.append(chain.reflection_point(cell, vector, np.zeros(len(cell.joints)))[1].real, 1.0)
     frames, fibre = _frames(cell, vector, q), chain.fibre_in_world(vector)[:3, :3].real
-    points = (frames.origin + frames.tool @ in_tool)[:, None]
+    points = (frames.origin + frames.tool @ (chain.mirror_in_tool(cell, vector).real @ in_mirror)[:3])[:, None]
     axes = np.swapaxes(frames.base @ told.in_base, -1, -2)
     centres = frames.carried - (frames.base @ told.lever[None, :, :, None])[..., 0]
     levers = np.repeat((points - centres)[:, :, None], 3, axis=2)

@@ -41,8 +41,7 @@ LEGENDRE, HARMONICS = 8, 4
 
 def polynomials(q: Floats, low: float | Floats, high: float | Floats) -> Floats:
     """Legendre polynomials 1 to 8 over a travel from `low` to `high`, shape (n, 8); of joints (n, m), (n, m, 8)."""
-    x = (2.0 * q - low - high) / (high - low)
-    return np.asarray(legendre.legvander(x, LEGENDRE)[..., 1:], dtype=np.float64)
+    return np.asarray(legendre.legvander((2.0 * q - low - high) / (high - low), LEGENDRE)[..., 1:], dtype=np.float64)
 
 
 def harmonics(q: Floats) -> Floats:
@@ -161,16 +160,14 @@ def group_of(cell: Cell, joint: int) -> str:
 
 
 def _motions(cell: Cell, i: int, sizes: JointMechanics, told: Directions, free: Collection[str]) -> list[Motion]:
-    """The error motions of joint `i` whose size is stated."""
     number, group = i + 1, group_of(cell, i)
     endless = group == "rotary"
     if cell.joints[i].kind == "prismatic":
-        straight = np.hypot(sizes.straightness_nm, sizes.crosstalk_nm)
         flat = np.hypot(sizes.straightness_nm if sizes.flatness_nm is None else sizes.flatness_nm, sizes.crosstalk_nm)
         stated = {
             OWN: ("linearity", sizes.linearity),
             UP: ("flatness", flat),
-            ACROSS: ("straightness", straight),
+            ACROSS: ("straightness", np.hypot(sizes.straightness_nm, sizes.crosstalk_nm)),
             ROLL: ("roll", sizes.roll_urad),
             YAW: ("yaw", sizes.yaw_urad),
             PITCH: ("pitch", sizes.pitch_urad),

@@ -85,10 +85,7 @@ class Link:
             return False
 
     def take(self, length_of: Callable[[bytes], int]) -> str:
-        """Wait for the answer to the message sent last.
-
-        length_of: length of the answer that the bytes so far begin with, or 0 while it is incomplete.
-        """
+        """Wait for the answer sent last; `length_of` the bytes so far tells its length, or 0 while it is incomplete."""
         end = time.monotonic() + self.timeout_s
         while (length := length_of(bytes(self._buffer))) == 0:
             self._more(end)

@@ -60,8 +60,7 @@ class SmarActStage:
     def position(self) -> Floats:
         """Joint values in um and rad."""
         counts = zip(self._axes, self._wire, self._numbers("POS"), strict=True)
-        read = [axis.joint_value(np.asarray(count * wire / axis.per_unit)) for axis, wire, count in counts]
-        return np.array(read, dtype=float)
+        return np.array([axis.joint_value(np.asarray(count * wire / axis.per_unit)) for axis, wire, count in counts])
 
     def settled(self) -> bool:
         """Whether all channels hold their targets in closed loop."""
@@ -94,7 +93,6 @@ class SmarActStage:
         self._link.send(command + _END)
 
     def _numbers(self, what: str) -> list[int]:
-        """What every channel answers; all are asked at once."""
         queries = [f":CHAN{axis.channel}:{what}?{_END}" for axis in self._axes]
         return [self._whole(answer) for answer in self._link.ask_each(queries)]
 

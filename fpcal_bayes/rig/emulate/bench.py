@@ -74,8 +74,7 @@ class EmulatedBench:
         self.server.start()
         try:
             for fault in self._pending:
-                wait = began + fault.at_s - self.rig.clock.now()
-                halt.wait(self.rig.clock.wall(wait))
+                halt.wait(self.rig.clock.wall(began + fault.at_s - self.rig.clock.now()))
                 self.server.inject(fault.device, fault.kind, fault.duration_s)
             halt.wait(float("inf"))
         finally:
@@ -83,7 +82,6 @@ class EmulatedBench:
 
 
 def _toml(table: dict[str, Any], place: str = "") -> str:
-    """A table as TOML: what RIG.toml holds, texts, numbers, flags and tables of these."""
     lines = [f"{key} = {json.dumps(value)}\n" for key, value in table.items() if not isinstance(value, (dict, list))]
     for key, value in table.items():
         if isinstance(value, dict):

@@ -112,8 +112,7 @@ class PIController(EmulatedController):
             if not all(self._servo[channel] for channel in values):
                 return _SERVO_OFF
             for channel, value in values.items():
-                q = float(self._axes[channel].joint_value(np.asarray(value)))
-                if not self._lab.move(self._joints[channel], q):
+                if not self._lab.move(self._joints[channel], float(self._axes[channel].joint_value(np.asarray(value)))):
                     return _LIMITS
         return 0
 

@@ -54,15 +54,6 @@ def _mechanics(stage: JointMechanics, goniometer: JointMechanics, rotary: JointM
     return Mechanics((stage, stage, stage, goniometer, goniometer, rotary), drift_nm_per_min=drift)
 
 
-def scaled(sizes: Mechanics, factor: float) -> Mechanics:
-    """The same with every error motion and the drift `factor` times as large."""
-    kept, joints = ("encoder_period", "lever_mm", "source"), []
-    for joint in sizes.joints:
-        stated = {name: value for name, value in vars(joint).items() if name not in kept and value is not None}
-        joints.append(replace(joint, **{name: factor * value for name, value in stated.items()}))
-    return replace(sizes, joints=tuple(joints), drift_nm_per_min=factor * sizes.drift_nm_per_min)
-
-
 REALISTIC = _mechanics(_STAGE, _GONIOMETER, _ROTARY, 3.0)
 _NOTHING = JointMechanics()
 _ZERO = _mechanics(_NOTHING, _NOTHING, _NOTHING, 0.0)
@@ -77,10 +68,10 @@ def _single(drift: float = 0.0, **joints: dict[str, float]) -> Mechanics:
 
 #: What a machine is (sizes and noise), and by how much the sheet of the fit differs from it.
 MIXTURES: dict[str, tuple[Mechanics, MachineSettings, float]] = {
-    "gentle": (scaled(REALISTIC, 1 / 3), replace(_NOISE, slow_nm=1.3), 1.0),
+    "gentle": (REALISTIC.scaled(1 / 3), replace(_NOISE, slow_nm=1.3), 1.0),
     "realistic": (REALISTIC, _NOISE, 1.0),
     "built-in": (load_cell().mechanics or _ZERO, _NOISE, 1.0),
-    "rough": (scaled(REALISTIC, 3.0), replace(_NOISE, slow_nm=8.0), 1.0),
+    "rough": (REALISTIC.scaled(3.0), replace(_NOISE, slow_nm=8.0), 1.0),
     "sheet-3-small": (REALISTIC, _NOISE, 1 / 3),
     "sheet-3-large": (REALISTIC, _NOISE, 3.0),
     "ideal": (_ZERO, MachineSettings(), 0.0),
@@ -114,7 +105,7 @@ _LEVER = (0.0, 0.0, 80.0)
 def sheet_of(name: str) -> Mechanics:
     machine, _, factor = MIXTURES[name]
     if factor:
-        return scaled(machine, factor)
+        return machine.scaled(factor)
     if name == "pitch-yaw":
         joints = [replace(j, lever_mm=_LEVER) if i < 3 else j for i, j in enumerate(REALISTIC.joints)]
         return replace(REALISTIC, joints=tuple(joints))

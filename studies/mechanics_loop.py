@@ -15,7 +15,7 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from mechanics_coverage import REALISTIC, protocol, reachable, scaled
+from mechanics_coverage import REALISTIC, protocol, reachable
 from mechanics_tracking import SETTINGS, SIGMA, machine_cell
 
 from fpcal_bayes import InputError
@@ -34,7 +34,7 @@ def calibrated(seed: int, ideal: bool) -> tuple[Machine, SessionOutcome, tuple[s
     """A machine, and what its calibration told."""
     cell = machine_cell().ideal if ideal else machine_cell()
     rng = np.random.default_rng([seed, 41])
-    sizes, settings = (scaled(REALISTIC, 0.0), MachineSettings()) if ideal else (REALISTIC, SETTINGS)
+    sizes, settings = (REALISTIC.scaled(0.0), MachineSettings()) if ideal else (REALISTIC, SETTINGS)
     machine = Machine.draw(cell, sizes, reachable(cell, rng), rng, settings)
     plan = protocol(cell, "mid")
     n = len(plan)

@@ -12,7 +12,7 @@ from collections import Counter
 from dataclasses import replace
 
 import numpy as np
-from mechanics_coverage import REALISTIC, reachable, scaled
+from mechanics_coverage import REALISTIC, reachable
 from mechanics_coverage import protocol as calibration_plan
 from tracking import change_of, diagnosis_plan, session_plan, told_in_time
 
@@ -46,7 +46,7 @@ def simulate_week(cell: Cell, options: argparse.Namespace, seed: int) -> tuple[S
     changed, other = None, machine
     if options.change != "none":
         changed = int(rng.integers(3, len(times) - 4))
-        other = Machine.draw(cell, scaled(REALISTIC, 5.0), vector, rng, settings)
+        other = Machine.draw(cell, REALISTIC.scaled(5.0), vector, rng, settings)
     if options.change in ("beta_4", "knock"):
         values[changed:] += change_of(cell, options.change, rng)
     look = None

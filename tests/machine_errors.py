@@ -1,12 +1,9 @@
-"""The error of a task on a machine, straight from a fit: what an estimate hands on must say the same; other sizes."""
-
-from dataclasses import replace
+"""The error of a task on a machine, straight from a fit: what an estimate hands on must say the same."""
 
 import numpy as np
 
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 from fpcal_bayes.infer.tasks.error import task_jacobian
-from fpcal_bayes.model.cell.error_motions import Mechanics
 from fpcal_bayes.model.mechanics.design import path_design
 from fpcal_bayes.model.mechanics.errors import MechanicsTaskErrors, approached, drifted, encoder_errors, returned_errors
 from fpcal_bayes.motion.tasks import Task
@@ -34,12 +31,3 @@ def mechanics_task_errors(fit: MechanicsFit, task: Task, *, seed: int = 0) -> Me
         [np.zeros_like(repeatable), *returned_errors(fit.terms, path, draws.log_scales, rng).values()], axis=0
     )
     return MechanicsTaskErrors(repeatable, returned)
-
-
-def scaled(sizes: Mechanics, factor: float) -> Mechanics:
-    """The same with every error motion and the drift `factor` times as large."""
-    kept, joints = ("encoder_period", "lever_mm", "source"), []
-    for joint in sizes.joints:
-        stated = {name: value for name, value in vars(joint).items() if name not in kept and value is not None}
-        joints.append(replace(joint, **{name: factor * value for name, value in stated.items()}))
-    return replace(sizes, joints=tuple(joints), drift_nm_per_min=factor * sizes.drift_nm_per_min)

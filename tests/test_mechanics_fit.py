@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from machine_errors import mechanics_task_errors, scaled
+from machine_errors import mechanics_task_errors
 from scipy import linalg, stats
 
 from fpcal_bayes.infer.fit.identify import identify
@@ -160,7 +160,7 @@ def test_bands_hold_where_white_noise_does_not(cell, fitted):
 
 def test_scales_that_no_row_sees_keep_their_prior(cell):
     # End points of sweeps by one joint: nothing tells the tilts of a stage without a lever.
-    machine = _machine(cell, 3, scaled(SIZES, 0.0))
+    machine = _machine(cell, 3, SIZES.scaled(0.0))
     fit = fit_mechanics(_problem(cell, machine, "paper"), SIZES)
     tilt = fit.scales.log[:, fit.terms.scales.index("stage, tilt")]
     assert abs(np.median(tilt)) < 0.4
@@ -267,7 +267,7 @@ def test_a_motion_beyond_the_sheet_is_named(cell):
 
 
 def test_a_return_is_not_blamed_for_a_few_wide_readings(cell):
-    gentle = scaled(SIZES, 0.2)
+    gentle = SIZES.scaled(0.2)
     machine = _machine(cell, 26, gentle)
     machine.settings = MachineSettings(student=3.0)
     fit = fit_mechanics(_problem(cell, machine), gentle)
@@ -286,9 +286,9 @@ def test_good_machines_are_not_doubted(fitted):
 
 
 def test_without_sizes_it_is_the_ideal_fit(cell):
-    machine = _machine(cell, 6, scaled(SIZES, 0.0))
+    machine = _machine(cell, 6, SIZES.scaled(0.0))
     problem = _problem(cell, machine)
-    none = replace(scaled(SIZES, 0.0), correlated_nm=0.0)
+    none = replace(SIZES.scaled(0.0), correlated_nm=0.0)
     fit = fit_mechanics(problem, none)
     ideal = minimise(problem, np.zeros(problem.n_unknowns))
     assert fit.design.matrix.shape[1] == 0

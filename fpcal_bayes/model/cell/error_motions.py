@@ -79,3 +79,11 @@ class Mechanics:
     def sha256(self) -> str:
         """Hash of the sizes; they stand outside the hash of the cell."""
         return content_sha256(asdict(self))
+
+    def scaled(self, factor: float) -> "Mechanics":
+        """The same with every error motion and the drift `factor` times as large."""
+        kept, joints = ("encoder_period", "lever_mm", "source"), []
+        for joint in self.joints:
+            stated = {name: value for name, value in vars(joint).items() if name not in kept and value is not None}
+            joints.append(replace(joint, **{name: factor * value for name, value in stated.items()}))
+        return replace(self, joints=tuple(joints), drift_nm_per_min=factor * self.drift_nm_per_min)

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from machine_errors import scaled
 from scipy import linalg
 
 from fpcal_bayes import (
@@ -154,7 +153,7 @@ def test_a_reading_far_off_is_set_aside(machine, sweeps, followed):
 
 
 def test_error_motions_that_change_are_told_from_the_geometry(machine, sweeps, followed):
-    other = Machine.draw(CELL, scaled(CELL.mechanics, 12.0), machine.vector, np.random.default_rng(11))
+    other = Machine.draw(CELL, CELL.mechanics.scaled(12.0), machine.vector, np.random.default_rng(11))
     moved = replace(machine, motions=other.motions)
     last = session("s4", 7.0, varied(np.random.default_rng(9)), moved)
     found = track(CELL, join([sweeps, last]), drift=DRIFT, known=followed)

@@ -254,7 +254,8 @@ def _short(whole: Samples, size: int, grid: Floats, smooth: Followed, fit: _Fitt
     best, value, width = max(laid, key=lambda each: each[0].best.evidence)
     phase, further = best.best.phase(np.array([value, value + 1e-6]), per_um)
     image = value + 2e-6 * (np.round(phase / np.pi) * np.pi - phase) / (further - phase)
-    laid += _laid(at, best.best, float(image), 4.0 * width)
+    # Where the mirror turns the image may lie far beyond the sweep.
+    laid += _laid(at, best.best, float(np.clip(image, -1.0, 1.0)), 4.0 * width)
     best, value, _ = max(laid, key=lambda each: each[0].best.evidence)
     share = np.array([width * np.exp(each.best.evidence - best.best.evidence) for each, _, width in laid])
     change = np.array([each.best.change[0] for each, *_ in laid]) - best.best.change[0]

@@ -11,7 +11,6 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Bools, Floats, Ints
-from fpcal_bayes.model import chain
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.kernels.jacobian import batch_jacobians, derivative_columns
 from fpcal_bayes.model.kernels.lengths import (
@@ -307,12 +306,6 @@ class CavityModel:
             return view.mirrors(values[..., own], q)
         normals, origins = batch_mirrors(self.held, self.free.slots, many, self.cell.revolute, joints)
         return (normals[0], origins[0]) if np.ndim(values) == 1 else (normals, origins)
-
-    def reflection_points(self, values: Floats, q: Floats) -> tuple[Floats, Floats]:
-        """Reflection points wPr and tPr, paper equations (28), (29), for poses `q`; each of shape (n_poses, 3)."""
-        vector = self.vector(values)
-        points = [chain.reflection_point(self.cell, vector, pose) for pose in q]
-        return np.array([w for w, _ in points]), np.array([t for _, t in points])
 
     def _question(self, values: Floats, rows: Rows) -> Question:
         cell, poses = self.cell, rows.poses

@@ -90,8 +90,8 @@ class Rows(Brief):
     poses: PoseGroups
     starts: Ints
     ends: Ints
-    parts: tuple[tuple[int, Ints, "Rows"], ...] = ()  # beam's number, positions, rows, of further beams
-    blocks: tuple[tuple[slice, "Rows"], ...] = ()  # of many rows, in place of the first three: positions, rows
+    #: Of several beams, or of many rows in place of what stands above: beam's number, positions, rows.
+    parts: tuple[tuple[int, Ints | slice, "Rows"], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -117,6 +117,8 @@ class CavityModel:
     @cached_property
     def views(self) -> tuple[tuple["CavityModel", Ints], ...]:
         """The model as each beam sees it, with the positions of its free parameters among those of the cell."""
+        if not self.cell.further:
+            return ((self, np.arange(len(self.free))),)
         made = []
         for (cell, index), side in zip(self.cell.views, self.sides or (0,) * len(self.cell.views), strict=True):
             place = {int(slot): i for i, slot in enumerate(self.free.slots)}
@@ -128,16 +130,14 @@ class CavityModel:
     def facing(self, values: Floats, rows: Rows) -> "CavityModel":
         """The model whose perpendicular lengths are smooth, the mirror standing as at free parameters `values` (n,)."""
         if rows.parts:
-            sides = [0] * len(self.views)
+            seen: list[set[int]] = [set() for _ in self.views]
             for beam, _, part in rows.parts:
                 view, own = self.views[beam]
-                sides[beam] = view.facing(values[own], part).side
-            return replace(self, sides=tuple(sides))
+                seen[beam].add(view.facing(values[own], part).side)
+            sides = tuple(each.pop() if len(each) == 1 else 0 for each in seen)
+            return replace(self, sides=sides) if self.cell.further else replace(self, side=sides[0])
         if self.cell.opd != "perpendicular":
             return self
-        if rows.blocks:
-            found = {self.facing(values, block).side for _, block in rows.blocks}
-            return replace(self, side=found.pop() if len(found) == 1 else 0)
         n_poses = len(rows.poses.prismatic_q)
         poses = Rows(rows.poses, np.full(n_poses, -1, dtype=np.int64), np.arange(n_poses))
         ahead = replace(self, side=1).predict(values, poses) > 0
@@ -168,7 +168,7 @@ class CavityModel:
         if self.cell.further:
             beam = np.zeros(len(q_end), dtype=np.int64) if beam is None else beam
             whole = replace(self, cell=self.views[0][0].cell).rows(q_start, q_end, absolute)
-            parts = []
+            parts: list[tuple[int, Ints | slice, Rows]] = []
             for number in np.unique(beam).tolist() or [0]:
                 at = np.flatnonzero(beam == number)
                 some = None if absolute is None else absolute[at]
@@ -178,7 +178,7 @@ class CavityModel:
             places = [slice(i, i + _BLOCK) for i in range(0, len(q_end), _BLOCK)]
             blocks = [self.rows(q_start[at], q_end[at], None if absolute is None else absolute[at]) for at in places]
             nothing = np.broadcast_to(np.int64(-1), len(q_end))
-            return Rows(blocks[0].poses, nothing, nothing, blocks=tuple(zip(places, blocks, strict=True)))
+            return Rows(blocks[0].poses, nothing, nothing, tuple(zip([0] * len(blocks), places, blocks, strict=True)))
         poses = group_poses(self.cell, np.concatenate([q_start, q_end]))
         starts, ends = np.split(poses.inverse, 2)
         if absolute is not None:
@@ -190,10 +190,7 @@ class CavityModel:
         poses, along = rows.poses, way[~self.cell.revolute]
         turned = {name: getattr(poses, name) * way for name in ("group_q", "group_sin")}
         parts = tuple((beam, at, self.turned(part, way)) for beam, at, part in rows.parts)
-        blocks = tuple((at, self.turned(block, way)) for at, block in rows.blocks)
-        return replace(
-            rows, poses=replace(poses, **turned, prismatic_q=poses.prismatic_q * along), parts=parts, blocks=blocks
-        )
+        return replace(rows, poses=replace(poses, **turned, prismatic_q=poses.prismatic_q * along), parts=parts)
 
     def pose_rows(self, q: Floats, beam: Ints | None = None) -> Rows:
         """Lay out poses `q` (n, n_joints) whose cavity length itself is wanted; `beam` as in `rows`."""
@@ -217,10 +214,6 @@ class CavityModel:
             for beam, at, part in rows.parts:
                 view, own = self.views[beam]
                 result[:, at] = view.predict(many[:, own], part)
-        elif rows.blocks:
-            result = np.empty((len(many), len(rows.ends)))
-            for place, block in rows.blocks:
-                result[:, place] = self.predict(many, block)
         elif self.cell.target == "plane-mirror":
             # Vectors fill the lanes of the kernel; where these are few, many groups of poses do.
             turns_as_told = bool(self._as_told[self.cell.revolute].all())
@@ -238,12 +231,8 @@ class CavityModel:
             jacobian = np.zeros((*result.shape, len(self.free)))
             for beam, at, part in rows.parts:
                 view, own = self.views[beam]
-                result[:, at], jacobian[:, at[:, None], own] = view.predict_with_jacobian(many[:, own], part)
-        elif rows.blocks:
-            result = np.empty((len(many), len(rows.ends)))
-            jacobian = np.empty((*result.shape, len(self.free)))
-            for place, block in rows.blocks:
-                result[:, place], jacobian[:, place] = self.predict_with_jacobian(many, block)
+                place = (at,) if isinstance(at, slice) else np.ix_(at, own)
+                result[:, at], jacobian[:, *place] = view.predict_with_jacobian(many[:, own], part)
         else:
             result, jacobian = self._differentiated(many, rows, self._columns)
         return (result[0], jacobian[0]) if np.ndim(values) == 1 else (result, jacobian)

@@ -31,7 +31,7 @@ class SlipTarget(PosteriorTarget):
         if len(unsigned):
             row = int(sweeps.rows[unsigned[0]])
             raise located(sweeps.file, "the slip likelihood needs rows of known sign", row=row, column="signed")
-        if len(slips.problem.rows.parts) > 1:
+        if len({beam for beam, *_ in slips.problem.rows.parts}) > 1:
             raise located(sweeps.file, "the slip likelihood takes rows of one beam, expected another --likelihood")
         self._half_wave = float(slips.problem.model.half_waves(slips.problem.rows)[0])
         # An absolute length comes from a wavelength scan, not from counting.

@@ -335,9 +335,10 @@ def _warnings(
         names = _some([each.label for each in astray])
         ends = [lengths_at(each.profile, np.array([-1.0, each.set_out, each.stop, 1.0])) for each in astray]
         missed = max(float(np.abs(np.diff(lengths)[::2]).sum()) for lengths in ends)
+        most = f"; it misses up to {missed:.2f} um" if missed >= 0.005 else ""
         said.append(
-            f"in {len(astray)} sweeps the mirror does not follow its joint ({names}; it misses up to {missed:.2f} um): "
-            "dL is the mirror's by its fringes, the joint's ends are not held to it; fpcal trace shows them"
+            f"in {len(astray)} sweeps the mirror does not follow its joint ({names}{most}): dL is the mirror's by its "
+            "fringes, the joint's ends are not held to it; fpcal trace shows them"
         )
     if (sweeps.group != "").any():
         said.append("groups of the index are dropped: each trace has a start of its own")

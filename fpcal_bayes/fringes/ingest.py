@@ -60,9 +60,8 @@ class Ingested:
     doubtful: DoubtfulRecord  # recordings that gave none
     readings: tuple[Reading | None, ...]  # of each recording, None for absolute lengths
     samples: tuple[Samples | None, ...]  # of each recording as it was laid along its sweep, None for absolute lengths
-    #: scans_before, scans_after: What the scans of each recording say, None where there is none.
-    scans_before: tuple[ScanReading | None, ...]
-    scans_after: tuple[ScanReading | None, ...]
+    scans_before: tuple[ScanReading | None, ...]  # of each recording, None where there is none
+    scans_after: tuple[ScanReading | None, ...]  # the same after it
     warnings: tuple[str, ...]  # sentences for the user
 
 

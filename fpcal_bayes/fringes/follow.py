@@ -209,7 +209,8 @@ _PLACES = np.linspace(-1.0, 1.0, 1025)
 
 def _chunked(samples: Samples, size: int) -> Samples:
     """Averages of `size` samples, so that all courses are held against the same numbers."""
-    return samples.summed(lambda values: np.add.reduceat(values, np.arange(0, len(values), size)))
+    starts = np.arange(0, len(samples), size)
+    return samples.summed(lambda values: [np.add.reduceat(each, starts) for each in values])
 
 
 def _lagging(samples: Samples, lag: float) -> Samples:
@@ -254,7 +255,9 @@ def _short(whole: Samples, size: int, grid: Floats, smooth: Followed, fit: _Fitt
     best, value, width = max(laid, key=lambda each: each[0].best.evidence)
     phase, further = best.best.phase(np.array([value, value + 1e-6]), per_um)
     image = value + 2e-6 * (np.round(phase / np.pi) * np.pi - phase) / (further - phase)
-    laid += _laid(at, best.best, float(image), 4.0 * width)
+    # Where the course turns the image may lie beyond the sweep's other end, where it is none.
+    if -order * image < 1.0:
+        laid += _laid(at, best.best, float(image), 4.0 * width)
     best, value, _ = max(laid, key=lambda each: each[0].best.evidence)
     share = np.array([width * np.exp(each.best.evidence - best.best.evidence) for each, _, width in laid])
     change = np.array([each.best.change[0] for each, *_ in laid]) - best.best.change[0]

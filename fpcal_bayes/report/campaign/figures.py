@@ -11,7 +11,7 @@ from fpcal_bayes.analysis.history import History, SessionResiduals, TaskForecast
 from fpcal_bayes.analysis.motions import MotionCurve
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.posterior.netcdf import PosteriorSummary
-from fpcal_bayes.report.pages import BLUE, GREY, ORANGE, VERMILION, drawable, svg_figure, svg_text
+from fpcal_bayes.report.pages import BLUE, GREY, ORANGE, VERMILION, drawable, svg_figure, svg_panels
 
 _MOST_SESSIONS, _MOST_LABELS, _MOST_MOTIONS = 6, 80, 12
 _HOURS_PER_DAY = 24.0
@@ -26,10 +26,10 @@ def task_figure(facts: CampaignFacts) -> str:
     n_rows = -(-len(drawn) // 3)
     if not drawn:
         return ""
-    with svg_figure(9.6, 0.6 + 2.3 * n_rows) as (figure, svg):
+    with svg_figure(9.6, 0.6 + 2.3 * n_rows, panels=True) as (figure, svg):
         axes = [figure.add_subplot(n_rows, 3, number) for number in range(1, len(drawn) + 1)]
         half = 1e3 * facts.goal.tolerance_um / 2
-        for i, (axis, outlook) in enumerate(zip(axes, drawn, strict=True)):
+        for axis, outlook in zip(axes, drawn, strict=True):
             found, prediction = outlook.numbers, outlook.prediction
             assert found is not None
             assert prediction is not None
@@ -37,16 +37,15 @@ def task_figure(facts: CampaignFacts) -> str:
             axis.fill_between(along, low, high, color=BLUE, alpha=0.25, linewidth=0, label="95 % band")
             errors = 1e3 * prediction.errors
             typical = errors[np.argsort(np.ptp(errors, axis=1))[len(errors) // 2]]
-            axis.plot(along, typical, color=BLUE, linewidth=0.9, label="one possible error, of median size")
-            label = f"tolerance, {2 * half:g} nm peak to peak"
+            axis.plot(along, typical, color=BLUE, linewidth=0.9, label="an error of median size")
+            label = f"tolerance, {2 * half:g} nm"
             axis.axhline(half, color=VERMILION, linestyle="--", linewidth=1, label=label)
             axis.axhline(-half, color=VERMILION, linestyle="--", linewidth=1)
             most = 1.15 * max(half, float(np.abs([low, high, typical]).max()))
             title = drawable(outlook.name) + (" (to be held)" if outlook.asked else "")
             axis.set_title(title, fontsize=9, parse_math=False)
             axis.set(ylim=(-most, most), xlabel=f"along the path [{found.task.unit}]")
-            if i % 3 == 0:
-                axis.set_ylabel("error of cavity length [nm]")
+            axis.set_ylabel("error [nm]")
             axis.grid(alpha=0.3)
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
     return svg[0]
@@ -76,19 +75,13 @@ def drift_figure(facts: CampaignFacts, found: History) -> str:
     assert facts.track is not None
     parameters = facts.track.drift.parameters
     chosen = [i for i, parameter in enumerate(parameters) if parameter.kind == "extrinsic"]
-    n_rows = -(-len(chosen) // 2)
-    with svg_figure(9.6, 0.7 + 2.0 * n_rows) as (figure, svg):
-        axes = figure.subplots(n_rows, 2, squeeze=False, sharex=True).ravel()
-        for axis in axes[len(chosen) :]:
-            axis.remove()
-        for axis, i in zip(axes, chosen, strict=False):
-            _draw_track(axis, facts, found, i)
-            axis.set_ylabel(f"{parameters[i].name} [{parameters[i].unit}]")
-        for axis in axes[max(0, len(chosen) - 2) : len(chosen)]:
-            axis.set_xlabel("time [days]")
-            axis.tick_params(labelbottom=True)
+    n_rows = -(-len(chosen) // 3)
+    with svg_figure(9.6, 0.7 + 2.2 * n_rows, panels=True) as (figure, svg):
         handles: dict[str, Any] = {}
-        for axis in axes[: len(chosen)]:
+        for number, i in enumerate(chosen, 1):
+            axis = figure.add_subplot(n_rows, 3, number)
+            _draw_track(axis, facts, found, i)
+            axis.set(xlabel="time [days]", ylabel=f"{parameters[i].name} [{parameters[i].unit}]")
             handles |= {text: handle for handle, text in zip(*axis.get_legend_handles_labels(), strict=True)}
         figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=4, frameon=False)
     return svg[0]
@@ -140,7 +133,7 @@ def motion_figure(curves: list[MotionCurve]) -> str:
     if not drawn:
         return ""
     n_rows = -(-len(drawn) // 3)
-    with svg_figure(9.6, 0.4 + 2.1 * n_rows) as (figure, svg):
+    with svg_figure(9.6, 0.4 + 2.1 * n_rows, panels=True) as (figure, svg):
         for number, curve in enumerate(drawn, 1):
             axis = figure.add_subplot(n_rows, 3, number)
             axis.fill_between(curve.along, curve.low, curve.high, color=BLUE, alpha=0.25, linewidth=0)
@@ -189,4 +182,4 @@ def prior_posterior_figure(names: Sequence[str], draws: Floats, before: Floats) 
 def posterior_figure(found: PosteriorSummary) -> str:
     """Densities of prior and draws of each parameter."""
     names = [f"{parameter.name} [{parameter.unit}]" for parameter in found.parameters]
-    return svg_text(prior_posterior_figure(names, found.draws.reshape(-1, len(names)), found.prior))
+    return svg_panels(prior_posterior_figure(names, found.draws.reshape(-1, len(names)), found.prior))

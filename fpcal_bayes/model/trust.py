@@ -83,7 +83,8 @@ UNRECORDED = Reason(
 #: What is held against a result that leaves out mechanics which the cell states.
 MECHANICS_LEFT_OUT = Reason(
     "mechanics-left-out",
-    "the error motions that the cell states are left out: bands assume a perfect mechanism and are too narrow",
+    "the error motions that the cell states are left out: bands are those of a perfect mechanism; an estimate of fpcal "
+    "identify has them",
 )
 
 

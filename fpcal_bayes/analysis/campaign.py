@@ -102,10 +102,7 @@ class Followed:
 
 
 def follow(file: str | Path, cell: Cell, *, now: str | float | None = None, anew: bool = False) -> Followed:
-    """Follow a campaign from where a saved track ends, or `anew`; sessions after `now` are refused.
-
-    As text `now` is hours since the campaign began or a clock time; a number is a Unix time, held against clock times.
-    """
+    """Follow a campaign from its saved track on, or `anew`; none after `now`: hours, a clock time, a Unix time."""
     measured = _Measured.read(file, cell, now)
     warm_up(cell)
     found, notes = measured.follow(anew=anew)

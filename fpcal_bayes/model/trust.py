@@ -83,8 +83,7 @@ UNRECORDED = Reason(
 #: What is held against a result that leaves out mechanics which the cell states.
 MECHANICS_LEFT_OUT = Reason(
     "mechanics-left-out",
-    "the error motions that the cell states are left out: bands are those of a perfect mechanism; an estimate of fpcal "
-    "identify has them",
+    "the error motions that the cell states are left out of all bands; an estimate of fpcal identify has them",
 )
 
 

@@ -50,8 +50,7 @@ def svg_figure(width: float, height: float, *, panels: bool = False) -> Iterator
 
 def svg_panels(figure: Figure) -> str:
     """The legend and each panel of a figure as SVG elements of their own, which a narrow page sets in a column."""
-    with matplotlib.rc_context(_SETTINGS):
-        figure.draw_without_rendering()
+    figure.draw_without_rendering()
     figure.set_layout_engine("none")
     parts, inches = [*figure.legends, *figure.axes], figure.dpi_scale_trans.inverted()
     boxes = [np.array(inches.transform(part.get_tightbbox())) for part in parts]  # type: ignore[arg-type]

@@ -9,6 +9,7 @@ import numpy as np
 from figure_common import Rig, arguments, save
 from matplotlib.figure import Figure
 
+from fpcal_bayes.model import chain
 from fpcal_bayes.motion import Controller, task_path
 
 BEYOND = 12.0
@@ -24,7 +25,7 @@ def main() -> None:
     offsets[:, 4] = np.radians(angle)
     task = Controller(estimate).follow("spin", offsets)
     q = np.clip(task.q, rig.cell.low, rig.cell.high)
-    _, point = rig.model.reflection_points(estimate.values, np.zeros((1, 6)))
+    _, point = chain.reflection_point(rig.cell, estimate.vector(), np.zeros(6))
 
     figure = Figure(figsize=(9, 8.5), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True)
@@ -41,7 +42,7 @@ def main() -> None:
             axis.axvline(end, color="0.6", linewidth=0.8)
     for axis in axes[1:]:
         axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    px, py = point[0, :2]
+    px, py = point[:2]
     driven = (angle >= ends[0]) & (angle <= ends[1])
     change = rig.change_nm(task.take(driven))
     joints, beyond = [], []

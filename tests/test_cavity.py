@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import RandomCell, ReferenceCase, random_cells
-from hypothesis import given
+from conftest import ReferenceCase
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fpcal_bayes.model import chain
@@ -30,20 +29,11 @@ def test_defaults_are_the_cells_own(femto: Cell) -> None:
 
 
 def test_reflection_points_of_the_reference(femto: Cell, case_a: ReferenceCase) -> None:
-    world, mirror = CavityModel.of(femto).reflection_points(case_a.truth(femto), np.zeros((1, 6)))
+    vector = CavityModel.of(femto).vector(case_a.truth(femto))
+    world, mirror = chain.reflection_point(femto, vector, np.zeros(6))
     geometry = case_a.content["geometry_at_zero"]
-    assert_allclose(world[0], geometry["wPr_um"], rtol=0, atol=1e-10)
-    assert_allclose(mirror[0], geometry["tPr_um"], rtol=0, atol=1e-10)
-
-
-@given(random_cells(n_poses=3))
-def test_reflection_points_are_the_chains(random: RandomCell) -> None:
-    world, mirror = random.model.reflection_points(random.values, random.poses)
-    assert world.shape == mirror.shape == (3, 3)
-    for i, q in enumerate(random.poses):
-        w, t = chain.reflection_point(random.cell, random.vector, q)
-        assert_array_equal(world[i], w)
-        assert_array_equal(mirror[i], t)
+    assert_allclose(world, geometry["wPr_um"], rtol=0, atol=1e-10)
+    assert_allclose(mirror, geometry["tPr_um"], rtol=0, atol=1e-10)
 
 
 def test_joint_jacobian_of_the_nominal_cell(femto: Cell) -> None:

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.kernels.lengths import LANES
@@ -93,7 +94,7 @@ def test_duplicates_change_nothing(random: RandomCell, picks: list[int]) -> None
     model = random.model
     single = model.predict(random.values, model.pose_rows(random.poses))
     rows = model.pose_rows(random.poses[picks])
-    assert len(rows.poses.q) == len({tuple(random.poses[i]) for i in picks})
+    assert len(rows.poses.prismatic_q) == len({tuple(random.poses[i]) for i in picks})
     assert_array_equal(model.predict(random.values, rows), single[picks])
 
 
@@ -161,3 +162,26 @@ def test_held_values_count(femto: Cell, case_a: ReferenceCase) -> None:
     rows = full.rows(case_a.q_start, case_a.q_end)
     chosen = femto.free.positions(extrinsic.names)
     assert_allclose(part.predict(truth[chosen], rows), full.predict(truth, rows), rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("opd", ["axis", "perpendicular"])
+@pytest.mark.parametrize("reach", [0.1, 2.0])
+def test_many_rows_are_as_few_of_them(opd: str, reach: float) -> None:
+    """Rows in blocks, whose mirror stands on one side of the fibre or, far turned, on both."""
+    cell, random = load_cell(opd=opd, mechanics="none"), np.random.default_rng(1)
+    start, end = random.uniform(-reach, reach, (2, 9000, 6))
+    absolute, model = random.random(9000) < 0.1, CavityModel.of(cell)
+    vectors = cell.free.nominal + 1e-3 * random.standard_normal((20, len(cell.free)))
+    parts = np.array_split(np.arange(9000), 7)
+    whole, few = model.rows(start, end, absolute), [model.rows(start[at], end[at], absolute[at]) for at in parts]
+    faced = model.facing(vectors[0], whole)
+    assert {faced.side} == ({0} if opd == "axis" or reach > 1.0 else {1, -1} & {faced.side})
+    assert faced.side == 0 or {model.facing(vectors[0], part).side for part in few} == {faced.side}
+    for values in (vectors[0], vectors):
+        assert_array_equal(
+            faced.predict(values, whole), np.concatenate([faced.predict(values, part) for part in few], axis=-1)
+        )
+        lengths, jacobian = faced.predict_with_jacobian(values, whole)
+        told = [faced.predict_with_jacobian(values, part) for part in few]
+        assert_array_equal(lengths, np.concatenate([part for part, _ in told], axis=-1))
+        assert_array_equal(jacobian, np.concatenate([part for _, part in told], axis=-2))

@@ -1,6 +1,8 @@
 """Whole traces as rows: right, and as much better than end points as they say."""
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,8 @@ from fpcal_bayes.fringes.fit import CALM, fit_course
 from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile, lengths_at
 from fpcal_bayes.fringes.samples import Samples
 from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.fit.minimise import minimise
+from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.measure.truth import paper_truth
@@ -18,6 +22,9 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.simulator.optics import RecorderSettings
 from fpcal_bayes.simulator.recorder import record_sweeps
 from fpcal_bayes.simulator.sweeps import simulate_um
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "studies"))
+from whole_traces import FromTruth
 
 #: A tenth of the default rate: still more than three samples a fringe.
 SHORT = RecorderSettings(rate_hz=20.0)
@@ -52,6 +59,22 @@ def test_whole_traces_tell_more_than_end_points(femto: Cell) -> None:
     assert both.common.shape == (len(both), DEGREE)
     assert not both.common[len(rows) :].any()
     assert found.content()["rows"] is None
+
+
+def test_rows_of_whole_traces_are_as_far_from_the_truth_as_they_say(femto: Cell) -> None:
+    """The way from the truth on ends where the long one does; 99.9 % of the mean squares of 190 rows lie below 1.35."""
+    paper, plan = paper_truth(femto), paper_protocol(femto)
+    sds = np.array([p.prior_sd for p in paper.parameters])
+    drawn = femto.free.nominal + sds * np.random.default_rng(2).standard_normal(21)
+    index = record_sweeps(femto, replace(paper, times_h=np.zeros(1), values=drawn[None]), plan, SHORT, seed=2)
+    fast = FromTruth(femto, plan)
+    problem = Problem.of(fast.model, fast.rows(index, drawn))
+    squares = problem.data_residuals(problem.unknowns(drawn)) ** 2
+    assert 0.6 < squares.mean() < 1.35
+    found = problem.values(minimise(problem, problem.unknowns(drawn)).unknowns)
+    long = identify(femto, trace_rows(femto, index)[0])
+    assert len(problem.target) == len(long.problem.target)
+    assert np.all(np.abs(found - long.estimate.values) < 0.3 * long.estimate.sd)
 
 
 def test_what_a_signal_tells_does_not_depend_on_its_prior() -> None:

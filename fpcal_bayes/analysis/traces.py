@@ -11,14 +11,7 @@ from fpcal_bayes.fringes.count import Reading
 from fpcal_bayes.fringes.fit import fit_course
 from fpcal_bayes.fringes.ingest import IngestSettings, ingest, rows_along
 from fpcal_bayes.fringes.path_check import PathCheck
-from fpcal_bayes.fringes.profile import (
-    DEGREE,
-    DisplacementProfile,
-    end_weights,
-    estimated_profiles,
-    lengths_at,
-    prior_profiles,
-)
+from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile, estimated_profiles, lengths_at, prior_profiles
 from fpcal_bayes.fringes.samples import Samples
 from fpcal_bayes.fringes.solve import bins
 from fpcal_bayes.infer.fit.identify import identify
@@ -32,8 +25,6 @@ _MOST = 12
 _LEFT = 2e-5
 #: Averages of a fringe.
 _BINS = 32
-#: Standard deviation in rad of an expected change from which on a trace of less than a fringe may be another one.
-_KNOWN = 0.5
 #: Standard deviations by which a sum of squares may exceed its expectation.
 _MISFIT = 6.0
 
@@ -49,23 +40,19 @@ def trace_rows(cell: Cell, index: TraceIndex, *, session: str | None = None) -> 
     On a perfect mechanism each trace is fitted along the course that the ends and middles of all expect, and the prior
     of that course is taken off again: the rows hold what the signal says. With error motions the traces are read by
     their fringes, at their middle and their end: at more places the errors that grow on the way between the ends (lost
-    motion, return) are not those that the mechanics know. Traces that are doubtful, that no course fits, whose mirror
-    sets out late, or of less than a fringe that the others do not foresee, are left out and named.
+    motion, return) are not those that the mechanics know. Traces that are doubtful, that no course fits or whose mirror
+    sets out late are left out and named; less than a fringe tells its course to a tenth of a um, and not normally.
     """
     of = np.isin(index.sweeps.session, index.sweeps.of_session(session).sessions) & (index.sweeps.kind == "sweep")
     index = index.take(np.flatnonzero(of))
     sweeps, errs = index.sweeps, cell.mechanics is not None
     found = ingest(index, cell, settings=IngestSettings(points=1))
-    # A trace of less than a fringe has no dL of its own, but its samples tell as much as others.
-    told = [
-        r is not None and (r.good or (r.fringes < 1.0 and not errs)) and not (r.late or (r.uneven and not errs))
-        for r in found.readings
-    ]
+    told = [r is not None and r.good and not (r.late or (r.uneven and not errs)) for r in found.readings]
     if not any(told):
         raise InputError(f"{sweeps.file}: in no sweep the mirror follows its joint: expected traces that do")
     # What many polynomials leave of half a turn is below a picometre; how they may be off, few of them say.
     estimate = identify(cell, found.sweeps).estimate
-    expected, ends = estimated_profiles(estimate, sweeps, _MOST), end_weights(_MOST)
+    expected = estimated_profiles(estimate, sweeps, _MOST)
     priors = [np.pad(each.covariance, (0, _MOST - DEGREE)) for each in prior_profiles(cell, sweeps)]
     light = 1.0 / (4.0 * cell.interferometer.fibre_reflectivity * cell.interferometer.gain)
     along, used = [], []
@@ -73,9 +60,6 @@ def trace_rows(cell: Cell, index: TraceIndex, *, session: str | None = None) -> 
         reading, samples, near = found.readings[i], found.samples[i], expected[i].mean
         if reading is None or samples is None or reading.fit is None:
             raise ValueError(f"row {i} has no trace")
-        known = reading.phase_per_um * np.sqrt(ends @ expected[i].covariance @ ends) < _KNOWN
-        if not reading.good and not (known and estimate.trust.usable):
-            continue
         if errs:
             places = np.array([0.0, 1.0])
             changes, covariance = reading.changes(places)
@@ -94,7 +78,7 @@ def trace_rows(cell: Cell, index: TraceIndex, *, session: str | None = None) -> 
         raise InputError(f"{sweeps.file}: no trace is the course of its joint: expected traces that are")
     said = []
     if len(used) < len(told):
-        names = ", ".join(np.delete(sweeps.label, used)[:5])
+        names = ", ".join(np.delete(sweeps.label, used)[:12])
         left = counted(len(told) - len(used), "trace")
         said = [f"left out: {left}, doubtful or of a mirror that is off its joint's course ({names})"]
     return join(along, sweeps.file), said
@@ -112,7 +96,7 @@ def _whole(
     fit = fit_course(
         samples.binned(bins(near[None, :DEGREE], reading.phase_per_um, _BINS)),
         DisplacementProfile(near, prior),
-        seen if reading.good else near,
+        seen,
         reading.phase_per_um,
         nuisance=reading.fit.nuisance,
         noise=reading.noise,

@@ -33,7 +33,7 @@ def symmetric_root(covariance: Floats, *, least: float = 0.0, eigh: Eigh = np.li
 def posterior_triangle(jacobian: Floats) -> Floats:
     """Upper triangular R with R'R = J'J + 1, of whitened, prior-scaled rows J (n_rows, n); shape (n, n)."""
     n = jacobian.shape[1]
-    return linalg.qr(np.vstack([jacobian, np.eye(n)]), mode="r")[0][:n]
+    return np.asarray(linalg.qr(np.vstack([jacobian, np.eye(n)]), mode="raw")[1])
 
 
 def symmetric(matrix: Floats) -> Floats:

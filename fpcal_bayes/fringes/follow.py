@@ -209,7 +209,8 @@ _PLACES = np.linspace(-1.0, 1.0, 1025)
 
 def _chunked(samples: Samples, size: int) -> Samples:
     """Averages of `size` samples, so that all courses are held against the same numbers."""
-    return samples.summed(lambda values: np.add.reduceat(values, np.arange(0, len(values), size)))
+    starts = np.arange(0, len(samples), size)
+    return samples.summed(lambda values: [np.add.reduceat(each, starts) for each in values])
 
 
 def _lagging(samples: Samples, lag: float) -> Samples:

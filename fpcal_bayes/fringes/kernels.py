@@ -30,6 +30,16 @@ def legendre_table(s: Floats, degree: int) -> Floats:
 
 
 @compiled
+def sums_in_bins(place: NDArray[np.int64], values: tuple[Floats, ...], n_bins: int) -> Floats:
+    """Sums (m, n_bins) of m rows of values (n,) that stand at `place` (n,)."""
+    sums = np.zeros((len(values), n_bins))
+    for i in range(place.size):
+        for j in range(len(values)):
+            sums[j, place[i]] += values[j][i]
+    return sums
+
+
+@compiled
 def normal_equations(
     data: SignalData, unknowns: Floats, prior_mean: Floats, prior_weight: Floats, matrix: Floats, gradient: Floats
 ) -> float:

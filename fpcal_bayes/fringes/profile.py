@@ -7,7 +7,7 @@ rotation two. That smoothness is what tells a reversal from a fringe, and one co
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -78,9 +78,15 @@ def lengths_at(profile: Floats, s: Floats) -> Floats:
 def slopes_at(profile: Floats, s: Floats) -> Floats:
     """Slopes of the same, in um per unit of s."""
     n = np.arange(len(profile))
-    # The slope of P_k is the sum of (2 n + 1) P_n over every other n below k.
-    own: Floats = (2 * n + 1) * (np.triu((n - n[:, None]) % 2 == 0) @ profile)
+    own: Floats = (2 * n + 1) * (_below(len(n)) @ profile)
     return legendre(s, len(n) - 1) @ own
+
+
+@cache
+def _below(degree: int) -> Floats:
+    """The slope of P_k is the sum of (2 n + 1) P_n over every other n below k: ones there, shape (degree, degree)."""
+    n = np.arange(degree)
+    return np.asarray(np.triu((n - n[:, None]) % 2 == 0), dtype=float)
 
 
 def loosened(profile: DisplacementProfile, degree: int, size: float) -> DisplacementProfile:

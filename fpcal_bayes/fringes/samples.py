@@ -1,6 +1,6 @@
 """A trace made ready: held to its sweep, looked through for faults, and laid along the sweep."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import located
 from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.fringes.kernels import sums_in_bins
 from fpcal_bayes.fringes.profile import legendre
 from fpcal_bayes.measure.traces import Trace
 
@@ -55,14 +56,14 @@ class Samples:
             return self
         low, high = self.s.min(), self.s.max()
         place = np.minimum(((self.s - low) * (n_bins / (high - low))).astype(np.int64), n_bins - 1)
-        return self.summed(lambda values: np.bincount(place, values, n_bins))
+        return self.summed(lambda values: sums_in_bins(place, values, n_bins))
 
-    def summed(self, into: Callable[[Floats], Floats]) -> "Samples":
-        """Averages over the parts that `into` sums values (n,) over, shape (n_parts,); empty ones are left out."""
-        count = into(self.count)
-        filled = count > 0
+    def summed(self, into: Callable[[tuple[Floats, ...]], Iterable[Floats]]) -> "Samples":
+        """Averages over the parts that `into` sums each of values (n,) over, (n_parts,); empty ones are left out."""
         parts = (self.s, self.time, self.signal, self.spread + self.s**2)
-        s, time, signal, square = (into(self.count * part)[filled] / count[filled] for part in parts)
+        count, *sums = into((self.count, *(self.count * part for part in parts)))
+        filled = count > 0
+        s, time, signal, square = (each[filled] / count[filled] for each in sums)
         return Samples(s, time, signal, count[filled], np.maximum(square - s**2, 0.0))
 
 

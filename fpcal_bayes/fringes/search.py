@@ -8,7 +8,6 @@ out however often L turns back, since all parts of the sweep add up in phase.
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile, legendre
@@ -60,15 +59,17 @@ def _by_transform(
     width = 1.0 / (_BINS_A_FRINGE * reach)
     place = np.rint((cycles - cycles.min()) / width).astype(np.int64)
     n_bins = int(place.max()) + 1
-    # The signal turned back by each bend's phase and summed into bins of the slope's.
-    turn = base + bends[:, None] * bend
+    # The signal turned back by each bend's phase, as far from one as from the next, is summed into bins of the slope's.
+    turned = np.empty((len(bends), len(used)), dtype=complex)
+    turned[0] = used.count * signal * np.exp(-1j * (base + bends[0] * bend))
+    further = np.exp(-1j * np.diff(bends[:2]).sum() * bend)
+    for i in range(1, len(bends)):
+        turned[i] = turned[i - 1] * further
     into = (place + n_bins * np.arange(len(bends))[:, None]).ravel()
-    real, imaginary = (
-        np.bincount(into, (used.count * signal * wave).ravel(), n_bins * len(bends)).reshape(len(bends), n_bins)
-        for wave in (np.cos(turn), -np.sin(turn))
-    )
+    real, imaginary = (np.bincount(into, part.ravel(), n_bins * len(bends)) for part in (turned.real, turned.imag))
+    summed = (real + 1j * imaginary).reshape(len(bends), n_bins)
     n_fast = scipy.fft.next_fast_len(2 * n_bins)
-    spectrum = scipy.fft.fft(real + 1j * imaginary, n_fast, axis=1)
+    spectrum = scipy.fft.fft(summed, n_fast, axis=1)
     frequency = scipy.fft.fftfreq(n_fast, width)
     order = np.argsort(frequency, kind="stable")
     # The neighbours beyond either end stand for a range narrower than a step.
@@ -112,8 +113,12 @@ def _by_fits(
 
 def _peaks(values: Floats, most: int = 24, least: float = 0.4) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Places of the highest local maxima of a table, those above a share of the highest."""
-    is_peak = (values > least * values.max()) & (values >= maximum_filter(values, 3, mode="nearest"))
-    rows, columns = np.nonzero(is_peak)
+    rows, columns = np.nonzero(values > least * values.max())
+    # The first and the last row and column are neighbours of themselves.
+    row, column = (at[:, None] + np.arange(-1, 2) for at in (rows, columns))
+    row, column = np.clip(row, 0, len(values) - 1), np.clip(column, 0, values.shape[1] - 1)
+    is_peak = values[rows, columns] >= values[row[:, :, None], column[:, None]].max(axis=(1, 2))
+    rows, columns = rows[is_peak], columns[is_peak]
     order = np.argsort(-values[rows, columns])[:most]
     return rows[order], columns[order]
 

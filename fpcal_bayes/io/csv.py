@@ -105,6 +105,7 @@ def read_blocks(path: Path, expected: str, text: str | None, most: int) -> Itera
             # Nothing can be cut off from a 0 or a 1; any other last field may be a part of what was written.
             if not lines and header[-1] != "signed":
                 require_line_end(path, text)
+            text = ""
             if len(texts) == most:
                 yield block()
                 texts, lines = [], []

@@ -111,7 +111,7 @@ def read_csv(
             _check_header(records, cell, plan=plan)
         tables.append(parsed(records))
         rows.append(records.rows)
-    table = {name: np.concatenate([part[name] for part in tables]) for name in tables[0]}
+    table = {name: np.concatenate([part.pop(name) for part in tables]) for name in list(tables[0])}
     return from_columns(table, cell, str(path), np.concatenate(rows), plan=plan, whole=whole)
 
 

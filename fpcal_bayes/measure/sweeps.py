@@ -192,7 +192,8 @@ class Sweeps:
                 raise InputError(f"{self.file}: no session {each!r}: expected one of {', '.join(self.sessions)}")
             if names.count(each) > 1:
                 raise InputError(f"{self.file}: session {each!r} is named twice, expected each session once")
-        chosen = self.take(np.isin(self.session, names))
+        chosen = np.isin(self.session, names)
+        chosen = self if chosen.all() else self.take(chosen)
         _check_distinct(chosen)
         return chosen
 
@@ -256,13 +257,11 @@ def _check_distinct(sweeps: Sweeps) -> None:
 
 def repeated_rows(sweeps: Sweeps) -> NDArray[np.bool_]:
     """Rows that stand earlier too, poses and dL to the last digit, shape (n,); counts of whole fringes do repeat."""
-    seen: set[tuple[object, ...]] = set()
-    again = np.zeros(len(sweeps), dtype=bool)
-    rows = np.column_stack([sweeps.q_start, sweeps.q_end, sweeps.dl]).tolist()
-    for i, key in enumerate(zip(map(tuple, rows), sweeps.beam.tolist(), strict=True)):
-        again[i] = key in seen and sweeps.kind[i] == "sweep" and sweeps.sigma[i] < _COUNTED
-        seen.add(key)
-    return again
+    beam = np.unique(sweeps.beam, return_inverse=True)[1]
+    rows = np.ascontiguousarray(np.column_stack([sweeps.q_start, sweeps.q_end, sweeps.dl, beam])) + 0.0
+    again = np.ones(len(sweeps), dtype=bool)
+    again[np.unique(rows.view(f"V{8 * rows.shape[1]}"), return_index=True)[1]] = False
+    return again & (sweeps.kind == "sweep") & (sweeps.sigma < _COUNTED)
 
 
 def as_plan(sweeps: Sweeps, *, session: str, time_h: float, file: str = "plan") -> Sweeps:

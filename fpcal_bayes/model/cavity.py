@@ -11,7 +11,6 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Bools, Floats, Ints
-from fpcal_bayes.model import chain
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.kernels.jacobian import batch_jacobians, derivative_columns
 from fpcal_bayes.model.kernels.lengths import (
@@ -30,13 +29,15 @@ from fpcal_bayes.model.kernels.point import batch_points, point_columns
 from fpcal_bayes.model.kernels.pull import joint_pulls
 from fpcal_bayes.model.parameters import ParameterSet
 
+#: Rows of a block: what a kernel holds of each pose of one stays in the cache.
+_BLOCK = 4096
+
 
 @dataclass(frozen=True, repr=False)
 class PoseGroups(Brief):
     """Distinct poses, sorted by group."""
 
-    q: Floats  # distinct joint vectors, shape (n_poses, n_joints), in um and rad
-    group_q: Floats  # joint values of each group, (n_groups, n_joints), zero where prismatic
+    group_q: Floats  # joint values of each group, (n_groups, n_joints), in um and rad, zero where prismatic
     group_cos: Floats  # their cosines
     group_sin: Floats  # their sines
     group_start: Ints  # poses of group g are ``group_start[g]`` to ``group_start[g + 1]``, shape (n_groups + 1,)
@@ -66,7 +67,6 @@ def group_poses(cell: Cell, q: Floats) -> PoseGroups:
     group_start = np.flatnonzero(new_group[new])
     group_q = np.where(cell.revolute, distinct, 0.0)[group_start]
     return PoseGroups(
-        q=distinct,
         group_q=group_q,
         group_cos=np.cos(group_q),
         group_sin=np.sin(group_q),
@@ -91,6 +91,7 @@ class Rows(Brief):
     starts: Ints
     ends: Ints
     parts: tuple[tuple[int, Ints, "Rows"], ...] = ()  # beam's number, positions, rows, of further beams
+    blocks: tuple[tuple[slice, "Rows"], ...] = ()  # of many rows, in place of the first three: positions, rows
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,11 @@ class CavityModel:
             return replace(self, sides=tuple(sides))
         if self.cell.opd != "perpendicular":
             return self
-        poses = Rows(rows.poses, np.full(len(rows.poses.q), -1, dtype=np.int64), np.arange(len(rows.poses.q)))
+        if rows.blocks:
+            found = {self.facing(values, block).side for _, block in rows.blocks}
+            return replace(self, side=found.pop() if len(found) == 1 else 0)
+        n_poses = len(rows.poses.prismatic_q)
+        poses = Rows(rows.poses, np.full(n_poses, -1, dtype=np.int64), np.arange(n_poses))
         ahead = replace(self, side=1).predict(values, poses) > 0
         return replace(self, side=1 if ahead.all() else 0 if ahead.any() else -1)
 
@@ -169,6 +174,11 @@ class CavityModel:
                 some = None if absolute is None else absolute[at]
                 parts.append((number, at, self.views[number][0].rows(q_start[at], q_end[at], some)))
             return replace(whole, parts=tuple(parts))
+        if len(q_end) > _BLOCK:
+            places = [slice(i, i + _BLOCK) for i in range(0, len(q_end), _BLOCK)]
+            blocks = [self.rows(q_start[at], q_end[at], None if absolute is None else absolute[at]) for at in places]
+            nothing = np.broadcast_to(np.int64(-1), len(q_end))
+            return Rows(blocks[0].poses, nothing, nothing, blocks=tuple(zip(places, blocks, strict=True)))
         poses = group_poses(self.cell, np.concatenate([q_start, q_end]))
         starts, ends = np.split(poses.inverse, 2)
         if absolute is not None:
@@ -178,9 +188,12 @@ class CavityModel:
     def turned(self, rows: Rows, way: Floats) -> Rows:
         """The rows with each joint counted the other way where `way`, shape (n_joints,), is -1 in place of 1."""
         poses, along = rows.poses, way[~self.cell.revolute]
-        turned = {name: getattr(poses, name) * way for name in ("q", "group_q", "group_sin")}
+        turned = {name: getattr(poses, name) * way for name in ("group_q", "group_sin")}
         parts = tuple((beam, at, self.turned(part, way)) for beam, at, part in rows.parts)
-        return replace(rows, poses=replace(poses, **turned, prismatic_q=poses.prismatic_q * along), parts=parts)
+        blocks = tuple((at, self.turned(block, way)) for at, block in rows.blocks)
+        return replace(
+            rows, poses=replace(poses, **turned, prismatic_q=poses.prismatic_q * along), parts=parts, blocks=blocks
+        )
 
     def pose_rows(self, q: Floats, beam: Ints | None = None) -> Rows:
         """Lay out poses `q` (n, n_joints) whose cavity length itself is wanted; `beam` as in `rows`."""
@@ -204,6 +217,10 @@ class CavityModel:
             for beam, at, part in rows.parts:
                 view, own = self.views[beam]
                 result[:, at] = view.predict(many[:, own], part)
+        elif rows.blocks:
+            result = np.empty((len(many), len(rows.ends)))
+            for place, block in rows.blocks:
+                result[:, place] = self.predict(many, block)
         elif self.cell.target == "plane-mirror":
             # Vectors fill the lanes of the kernel; where these are few, many groups of poses do.
             turns_as_told = bool(self._as_told[self.cell.revolute].all())
@@ -222,6 +239,11 @@ class CavityModel:
             for beam, at, part in rows.parts:
                 view, own = self.views[beam]
                 result[:, at], jacobian[:, at[:, None], own] = view.predict_with_jacobian(many[:, own], part)
+        elif rows.blocks:
+            result = np.empty((len(many), len(rows.ends)))
+            jacobian = np.empty((*result.shape, len(self.free)))
+            for place, block in rows.blocks:
+                result[:, place], jacobian[:, place] = self.predict_with_jacobian(many, block)
         else:
             result, jacobian = self._differentiated(many, rows, self._columns)
         return (result[0], jacobian[0]) if np.ndim(values) == 1 else (result, jacobian)
@@ -284,12 +306,6 @@ class CavityModel:
             return view.mirrors(values[..., own], q)
         normals, origins = batch_mirrors(self.held, self.free.slots, many, self.cell.revolute, joints)
         return (normals[0], origins[0]) if np.ndim(values) == 1 else (normals, origins)
-
-    def reflection_points(self, values: Floats, q: Floats) -> tuple[Floats, Floats]:
-        """Reflection points wPr and tPr, paper equations (28), (29), for poses `q`; each of shape (n_poses, 3)."""
-        vector = self.vector(values)
-        points = [chain.reflection_point(self.cell, vector, pose) for pose in q]
-        return np.array([w for w, _ in points]), np.array([t for _, t in points])
 
     def _question(self, values: Floats, rows: Rows) -> Question:
         cell, poses = self.cell, rows.poses

@@ -229,7 +229,8 @@ def identify(
         rank=spectrum.rank,
         worst=", ".join(f"{label} {size:+.3g} sd" for label, size in fit.largest(used.names, 3)),
         chi2_noise=noise_only.chi2_data,
-        expected_noise=noise_only.expected,
+        # Of the light of whole traces more is allowed for than most light does: they may lie closer to the fit.
+        expected_noise=0.0 if used.common.any() else noise_only.expected,
         p_noise=noise_only.p_value,
     )
     trust = judge_fit(

@@ -80,10 +80,11 @@ class Prior:
         return result
 
     def by_scores(self, jacobian: Floats, scores: Floats) -> Floats:
-        """Derivatives (..., n_rows, n) by the scores, at scores (..., n), from those by the parameters."""
-        result: Floats = jacobian * self.sd if self.factor is None else jacobian @ self.factor
-        for i, other in self.others:
-            result[..., i] = jacobian[..., i] * other.slope(scores[..., i])[..., None]
+        """Derivatives (..., n_rows, n) by scores (..., n), from those by the parameters, which may be overwritten."""
+        others = [(i, jacobian[..., i] * other.slope(scores[..., i])[..., None]) for i, other in self.others]
+        result: Floats = jacobian @ self.factor if self.factor is not None else np.multiply(jacobian, self.sd, jacobian)
+        for i, column in others:
+            result[..., i] = column
         return result
 
     def slopes(self, scores: Floats) -> Floats:

@@ -182,11 +182,7 @@ class Problem(Brief):
 
     def data_jacobian(self, unknowns: Floats) -> Floats:
         """Derivatives of `data_residuals` by the unknowns, shape (n_rows, n_unknowns)."""
-        _, jacobian = self.model.predict_with_jacobian(self.values(unknowns), self.rows)
-        scaled = self.prior.by_scores(jacobian, unknowns[: self.n_free])
-        if self.sensitivity is not None:
-            scaled = np.hstack([scaled, self.sensitivity])
-        return self.whitening.apply(scaled)
+        return np.asarray(self.data_batch(unknowns[None])[1][0])
 
     def prior_scaled_jacobian(self, unknowns: Floats) -> Floats:
         """Derivatives of the whitened rows by the free parameters in prior standard deviations, shape (n_rows, n)."""

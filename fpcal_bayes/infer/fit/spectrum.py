@@ -53,7 +53,7 @@ def spectrum_of(jacobian: Floats) -> Spectrum:
     """Singular value analysis of a whitened Jacobian (n_rows, n) in prior-scaled units."""
     n = jacobian.shape[1]
     # The triangle has the same singular values and is small, however many rows there are.
-    _, found, directions = linalg.svd(linalg.qr(jacobian, mode="r")[0][:n], full_matrices=True)
+    _, found, directions = linalg.svd(linalg.qr(jacobian, mode="raw")[1][:n], full_matrices=True)
     values = np.zeros(n)
     values[: len(found)] = found
     tolerance = RELATIVE_TOLERANCE * float(values[0]) if n else 0.0
@@ -90,13 +90,14 @@ def goodness_of_fit(problem: Problem, unknowns: Floats) -> GoodnessOfFit:
     """How well the data of a problem are met at `unknowns` (n_unknowns,)."""
     residuals = problem.data_residuals(unknowns)
     chi2_data = float(residuals @ residuals)
-    jacobian = problem.data_jacobian(unknowns)
-    orthonormal = linalg.qr(np.vstack([jacobian, np.eye(problem.n_unknowns)]), mode="economic")[0]
-    leverage = (orthonormal[: len(residuals)] ** 2).sum(axis=1)
+    jacobian = problem.jacobian(unknowns)
+    orthonormal = linalg.qr(jacobian, mode="economic")[0][: len(residuals)]
+    leverage = np.square(orthonormal, out=orthonormal).sum(axis=1)
+    del orthonormal
     standardised = residuals / np.sqrt(np.clip(1.0 - leverage, 1e-12, None))
     # Under the model the residuals are N(0, I - H), so their sum of squares is a sum of chi-squares with weights 1 - h,
     # h the eigenvalues of H; a scaled chi-square with the same mean and variance stands for it (Satterthwaite 1946).
-    shrink = linalg.svdvals(jacobian)[: problem.n_unknowns]
+    shrink = linalg.svdvals(jacobian[: len(residuals)])[: problem.n_unknowns]
     weights = np.ones(max(len(residuals), len(shrink)))
     weights[: len(shrink)] = 1.0 / (1.0 + shrink**2)
     weights = weights[: len(residuals)] if len(residuals) > len(shrink) else weights

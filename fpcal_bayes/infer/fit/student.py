@@ -79,9 +79,6 @@ class StudentProblem(Problem):
     def data_residuals(self, unknowns: Floats) -> Floats:
         return bend(super().data_residuals(unknowns), self.dof)[0]
 
-    def data_jacobian(self, unknowns: Floats) -> Floats:
-        return bend(super().data_residuals(unknowns), self.dof)[1][:, None] * super().data_jacobian(unknowns)
-
     def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
         residuals, jacobian = super().data_batch(points)
         bent, slope = bend(residuals, self.dof)

@@ -95,6 +95,7 @@ class LocalMove(Move):  # type: ignore[misc]
             residuals, jacobian = self.target.data_batch(points[part])
             factors[part] = np.linalg.cholesky(jacobian.transpose(0, 2, 1) @ jacobian + np.eye(points.shape[1]))
             density[part] = self.target.log_density(residuals, points[part])
+            del residuals, jacobian
         return factors, density
 
 

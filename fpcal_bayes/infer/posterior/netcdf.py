@@ -248,7 +248,6 @@ def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
     unknowns = some[:, :: -(-some.shape[0] * n_draws * len(problem.target) // _KEPT_CELLS)]
     log_likelihood, predicted = _pointwise(posterior, unknowns.reshape(-1, unknowns.shape[-1]), rng)
     shape = (*unknowns.shape[:2], -1)
-    labels = np.array([str(label) for label in problem.sweeps.label])
     draws = {name: shown[:, :, i] for i, name in enumerate(parameters.names)}
     noise = posterior.target.noise_factors(chains)
     if noise is not None:
@@ -267,7 +266,7 @@ def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
                 "posterior_predictive": {"dl_um": predicted.reshape(shape)},
                 "observed_data": {"dl_um": problem.target},
             },
-            coords={"sweep": labels},
+            coords={"sweep": problem.sweeps.label},
             dims={"dl_um": ["sweep"]},
             attrs={"/": _attributes(posterior, seed, command)},
         )
@@ -285,7 +284,7 @@ def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
 def write_netcdf(tree: Any, path: Path) -> None:
     """Write a DataTree as netCDF, whole or not at all."""
     # Made in memory: on a full disk the library fails while it closes the file, where nothing catches it.
-    content = bytes(tree.to_netcdf(engine="h5netcdf"))
+    content = tree.to_netcdf(engine="h5netcdf")
     with replacing(path) as temporary:
         temporary.write_bytes(content)
 
@@ -320,7 +319,7 @@ def _pointwise(posterior: Posterior, unknowns: Floats, rng: np.random.Generator)
     problem = posterior.identification.problem
     n_rows = len(problem.target)
     likelihood, predicted = np.empty((len(unknowns), n_rows)), np.empty((len(unknowns), n_rows))
-    for part in in_parts(len(unknowns), max(1, min(256, _KEPT_CELLS // n_rows))):
+    for part in in_parts(len(unknowns), max(1, min(256, _KEPT_CELLS // (4 * n_rows)))):
         mean = problem.model.predict(problem.values(unknowns[part]), problem.rows)
         if problem.sensitivity is not None:
             mean = mean + unknowns[part, problem.n_free : problem.n_unknowns] @ problem.sensitivity.T

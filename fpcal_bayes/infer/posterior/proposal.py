@@ -70,6 +70,7 @@ class Proposal:
             h[part] = self._projected(residuals, points[part])
             np.matmul(self._on_data.T, jacobian, out=slopes[part])
             log_density[part] = self.target.log_density(residuals, points[part])
+            del residuals, jacobian
         return h, slopes + self._on_prior.T, log_density
 
     def solve(self, normal: Floats) -> Solved:

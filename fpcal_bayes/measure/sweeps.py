@@ -154,8 +154,10 @@ class Sweeps:
 
     @property
     def names(self) -> list[str]:
-        """Labels for messages, with the beam that read the row where it is named."""
-        return [f"{label} ({beam})" if beam else label for label, beam in zip(self.label, self.beam, strict=True)]
+        """Labels for messages, with the session where there are several, and the beam where it is named."""
+        sessions = self.session if len(self.sessions) > 1 else np.full(len(self), "")
+        notes = [", ".join(filter(None, both)) for both in zip(sessions, self.beam, strict=True)]
+        return [f"{label} ({note})" if note else label for label, note in zip(self.label, notes, strict=True)]
 
     def approach_signs(self) -> Floats:
         """Stated directions of approach as -1, 0 (not stated), +1, shape (n, n_joints)."""

@@ -29,11 +29,6 @@ _BINS = 32
 _MISFIT = 6.0
 
 
-def _places(n: int) -> Floats:
-    """Places on a sweep at which its trace becomes `n` rows, closer at the ends, the last at its end."""
-    return np.asarray(-np.cos(np.pi * np.arange(1, n + 1) / n))
-
-
 def trace_rows(cell: Cell, index: TraceIndex, *, session: str | None = None) -> tuple[Sweeps, list[str]]:
     """All samples of a session's traces as rows that share errors (`common`), and sentences for the user.
 
@@ -104,7 +99,9 @@ def _whole(
     )
     if fit.residual_squares > fit.noise**2 * (fit.freedom + _MISFIT * np.sqrt(2.0 * fit.freedom)):
         return None
-    places = _places(fit.modes.shape[1])
+    n = fit.modes.shape[1]
+    # Closer at the ends, the last at the end of the sweep.
+    places = -np.cos(np.pi * np.arange(1, n + 1) / n)
     return places, *fit.told(places)
 
 

@@ -116,7 +116,8 @@ def _clipped(signal: Floats, full_scale: float | None) -> str:
         return f"saturated: the signal reaches the full scale of {full_scale:g} V{_remedy(signal, top)}"
     for extreme, name in ((top, "top"), (bottom, "bottom")):
         flat = signal == extreme
-        run, share = _longest_run(flat), float(flat.mean())
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], flat, [False]]).astype(np.int8)))
+        run, share = int((edges[1::2] - edges[::2]).max(initial=0)), float(flat.mean())
         if run < _FLAT_RUN or share <= _FLAT_SHARE or flat.sum() <= _FLAT_RUN:
             continue
         # Steps of a coarse converter make flat tops too, but never crowd an extreme more than the steps beside it.
@@ -132,8 +133,3 @@ def _remedy(signal: Floats, extreme: float) -> str:
     cut = float((signal == extreme).mean() if extreme < signal.mean() else (signal >= extreme).mean())
     share = 0.45 * (1.0 + np.cos(np.pi * min(cut, 0.9)))
     return f"; lower the gain to {share:.2f} of it" if extreme > 0 else ""
-
-
-def _longest_run(flags: NDArray[np.bool_]) -> int:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return int((edges[1::2] - edges[::2]).max(initial=0))

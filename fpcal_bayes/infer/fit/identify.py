@@ -170,10 +170,12 @@ def identify(
     problem = Problem.of(model, used, considered, prior=before, linearised=not many_rows(cell, used))
     first = _starting_unknowns(problem, start)
 
-    signs = None
+    signs: SignDecision | None = None
     if not (used.signed | used.absolute).all():
-        problem, signs = _fit_signs(problem, first)
-        first = signs.solution.unknowns
+        signs = decide_signs(problem, first)
+        if problem.depends_on_point:
+            signs = decide_signs(problem.relinearised(signs.solution.unknowns), signs.solution.unknowns)
+        problem, first = problem.with_target(signs.target), signs.solution.unknowns
         if not signs.complete:
             warnings.append("the search for the unknown signs was ended at its limit: other signs may fit better")
     whole, problem = problem, thinned(problem)
@@ -294,13 +296,6 @@ def _converge(problem: Problem, start: Floats) -> tuple[Problem, Solution]:
         if excess < DECREMENT_TOLERANCE * max(1.0, solution.sum_of_squares / len(problem.sweeps)):
             return problem, solution
     return problem, Solution(solution.unknowns, solution.sum_of_squares, converged=False)
-
-
-def _fit_signs(problem: Problem, start: Floats) -> tuple[Problem, SignDecision]:
-    signs = decide_signs(problem, start)
-    if problem.depends_on_point:
-        signs = decide_signs(problem.relinearised(signs.solution.unknowns), signs.solution.unknowns)
-    return problem.with_target(signs.target), signs
 
 
 def _fit(

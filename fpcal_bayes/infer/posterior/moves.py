@@ -26,14 +26,12 @@ class RandomiseThenOptimiseMove(Move):  # type: ignore[misc]
     def propose(self, model: Any, state: State) -> tuple[State, Any]:
         random = model.random
         if not self._ready:
-            self._ready = self._propose_ahead(random, *state.coords.shape)
+            n_walkers, n = state.coords.shape
+            total = self.ahead * n_walkers
+            made = self.atlas.propose(random.standard_normal((total, n)), random.random_sample(total))
+            self._ready = [made.take(slice(i, i + n_walkers)) for i in range(0, total, n_walkers)]
         solved = self._ready.pop()
         return independent_step(self, random, state, (solved.points, solved.log_density, solved.log_proposal))
-
-    def _propose_ahead(self, random: Any, n_walkers: int, n: int) -> list[Solved]:
-        total = self.ahead * n_walkers
-        solved = self.atlas.propose(random.standard_normal((total, n)), random.random_sample(total))
-        return [solved.take(slice(i, i + n_walkers)) for i in range(0, total, n_walkers)]
 
 
 def independent_step(

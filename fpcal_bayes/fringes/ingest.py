@@ -41,8 +41,6 @@ _DRAWS, _SEED, _NODES = 120, 20240502, 9
 #: Legendre polynomials of the logarithm, from the first on; what the optics' own uncertainty adds to each.
 _FLOORS = (0.03, 0.02, 0.005, 0.003)
 _OPTICS_SHARE = 0.3
-#: What a mirror misses of its joint's course at its ends and is worth a word, in um.
-_MISSED = 0.005
 
 
 @dataclass(frozen=True)
@@ -63,9 +61,8 @@ class Ingested:
     doubtful: DoubtfulRecord  # recordings that gave none
     readings: tuple[Reading | None, ...]  # of each recording, None for absolute lengths
     samples: tuple[Samples | None, ...]  # of each recording as it was laid along its sweep, None for absolute lengths
-    #: scans_before, scans_after: What the scans of each recording say, None where there is none.
-    scans_before: tuple[ScanReading | None, ...]
-    scans_after: tuple[ScanReading | None, ...]
+    scans_before: tuple[ScanReading | None, ...]  # of each recording, None where there is none
+    scans_after: tuple[ScanReading | None, ...]  # the same after it
     warnings: tuple[str, ...]  # sentences for the user
 
 
@@ -333,18 +330,15 @@ def _warnings(
             continue
         told = f"{last.length - first.length:.3f} +- {np.hypot(first.sigma, last.sigma):.3f} um"
         said.append(f"{sweeps.label[i]}: no sign: the scans say {told}, the trace +-{reading.dl:.3f} um")
-    missed = {}
-    for each in readings:
-        if each is not None and each.good and (each.uneven or each.late):
-            lengths = lengths_at(each.profile, np.array([-1.0, each.set_out, each.stop, 1.0]))
-            missed[each.label] = float(np.abs(np.diff(lengths)[::2]).sum())
-    # An uneven course between ends that hold is no matter.
-    astray = [label for label, miss in missed.items() if miss >= _MISSED]
+    astray = [each for each in readings if each is not None and each.good and (each.uneven or each.late)]
     if astray:
+        names = _some([each.label for each in astray])
+        ends = [lengths_at(each.profile, np.array([-1.0, each.set_out, each.stop, 1.0])) for each in astray]
+        missed = max(float(np.abs(np.diff(lengths)[::2]).sum()) for lengths in ends)
+        most = f"; it misses up to {missed:.2f} um" if missed >= 0.005 else ""
         said.append(
-            f"in {counted(len(astray), 'sweep')} the mirror does not follow its joint ({_some(astray)}; it misses up "
-            f"to {max(missed.values()):.2f} um): dL is the mirror's by its fringes, the joint's ends are not held to "
-            "it; fpcal trace shows them"
+            f"in {counted(len(astray), 'sweep')} the mirror does not follow its joint ({names}{most}): dL is the "
+            "mirror's by its fringes, the joint's ends are not held to it; fpcal trace shows them"
         )
     if (sweeps.group != "").any():
         said.append("groups of the index are dropped: each trace has a start of its own")

@@ -225,8 +225,9 @@ def budget_table(budget: Budget) -> Table:
             line.distribution,
             f"{line.estimate:g}",
             f"{line.standard_uncertainty:.3g} {line.unit}",
-            f"{1e3 * line.sensitivity:.3g} / {line.unit}",
-            f"{1e3 * line.contribution:.3g}",
+            # What is zero but for rounding is zero.
+            f"{round(1e3 * line.sensitivity, 9):.3g} / {line.unit}",
+            f"{round(1e3 * line.contribution, 9):.3g}",
             *([] if shares is None else [f"{100 * shares[i]:.1f} %"]),
         )
     low, high = budget.interval

@@ -31,7 +31,7 @@ def verification_lines(made: Verification) -> list[str]:
     if weak:
         lines.append(
             f"not evaluated: {', '.join(weak)}: these sweeps would miss such an error more often than "
-            f"{100 * (1 - LEAST_POWER):.0f} %; fpcal plan --validation N chooses sweeps that would not"
+            f"{100 * (1 - LEAST_POWER):.0f} %; fpcal plan --validation N --after FILE chooses sweeps that would not"
         )
     return lines if made.failed else [*lines, *made.scope]
 
@@ -39,9 +39,11 @@ def verification_lines(made: Verification) -> list[str]:
 def verification_sentences(made: Verification | None, file: str) -> list[str]:
     """The same for a page on the campaign of a file, or how to get there."""
     if made is not None:
-        return [f"{line[0].upper()}{line[1:]}." for line in verification_lines(made)]
+        # Names of joints stay as they are.
+        told = verification_lines(made)
+        return [f"{line[0] if line[1].isdigit() else line[0].upper()}{line[1:]}." for line in told]
     return [
-        "Not verified by sweeps that it was not made from. Choose some with fpcal plan --validation 12, measure "
-        f"them, then fpcal verify {file} --validation SWEEPS.csv --json verified.json, and give the report "
-        "--verification verified.json."
+        f"Not verified by sweeps that it was not made from. Choose some with fpcal plan --validation 12 --after {file} "
+        f"-o PLAN.csv, measure them, then fpcal verify {file} --validation MEASURED.csv --json verified.json, and give "
+        "the report --verification verified.json."
     ]

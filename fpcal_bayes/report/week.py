@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.core.typing import Floats
@@ -76,6 +77,7 @@ def draw_courses(courses: Sequence[Scenario]) -> Figure:
     least = 0.8e3 * min(float(course.peaks.min()) for course in courses)
     error.set(yscale="log", ylim=(least, None), ylabel="error of the circle, peak to peak [nm]")
     error.yaxis.set_major_formatter("{x:g}")
+    error.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
     spent.set(xlabel="time [days]", ylabel="sweeps after day 0", xlim=(0, courses[0].times_h[-1] / 24.0))
     for axis in (error, spent):
         axis.grid(alpha=0.3)

@@ -60,10 +60,10 @@ def outlook_figure(facts: CampaignFacts, found: TaskForecasts) -> str:
         tolerance = 1e3 * facts.goal.tolerance_um
         axis.axhline(tolerance, color=VERMILION, linestyle="--", linewidth=1, label=f"tolerance {tolerance:g} nm")
         axis.axvline(facts.now_h / _HOURS_PER_DAY, color="black", linestyle=":", linewidth=1, label="now")
-        axis.set_yscale("log")
         # What is far below the tolerance needs no room.
-        axis.set_ylim(bottom=min(tolerance / 50, 1e3 * float(found.median.min()) / 2))
-        axis.set(xlabel="time [days]", ylabel="peak to peak of the\nworst task [nm]")
+        least = min(tolerance / 50, 1e3 * float(found.median.min()) / 2)
+        axis.set(yscale="log", xlabel="time [days]", ylabel="peak to peak of the\nworst task [nm]", ylim=(least, None))
+        axis.yaxis.set_major_formatter("{x:g}")
         axis.grid(alpha=0.3)
         figure.legend(loc="outside upper center", ncols=4, frameon=False)
     return svg[0]
@@ -113,9 +113,8 @@ def residual_figure(parts: list[SessionResiduals]) -> str:
         axis.plot(place[outside], values[outside], "D", color=VERMILION, markersize=4)
         for end in np.cumsum([len(part.values) for part in parts])[:-1]:
             axis.axvline(end + 0.5, color=GREY, linewidth=0.6)
-        most = 1.15 * max(3.2, np.abs(values).max())
-        axis.set(xlim=(0, len(values) + 1), ylim=(-most, most))
-        axis.set(xlabel="row, all sessions in order", ylabel="residual / sigma")
+        axis.set(xlim=(0, len(values) + 1), xlabel="row, all sessions in order", ylabel="residual / sigma")
+        axis.set_ylim(*(1.15 * max(3.2, np.abs(values).max()) * np.array([-1, 1])))
         axis.grid(axis="y", alpha=0.3)
     return svg[0]
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError, located
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.count import Reading, SignSource
 from fpcal_bayes.fringes.fit import CALM, Nuisance
@@ -336,8 +337,8 @@ def _warnings(
         missed = max(float(np.abs(np.diff(lengths)[::2]).sum()) for lengths in ends)
         most = f"; it misses up to {missed:.2f} um" if missed >= 0.005 else ""
         said.append(
-            f"in {len(astray)} sweeps the mirror does not follow its joint ({names}{most}): dL is the mirror's by its "
-            "fringes, the joint's ends are not held to it; fpcal trace shows them"
+            f"in {counted(len(astray), 'sweep')} the mirror does not follow its joint ({names}{most}): dL is the "
+            "mirror's by its fringes, the joint's ends are not held to it; fpcal trace shows them"
         )
     if (sweeps.group != "").any():
         said.append("groups of the index are dropped: each trace has a start of its own")

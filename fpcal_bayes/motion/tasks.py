@@ -102,14 +102,23 @@ class Task:
         )
 
 
-def task_path(cell: Cell, vector: Floats, name: str, *, radius: float | None = None, n_points: int = 61) -> Task:
+def task_path(
+    cell: Cell,
+    vector: Floats,
+    name: str,
+    *,
+    radius: float | None = None,
+    n_points: int = 61,
+    placement: Placement | None = None,
+) -> Task:
     """A task of `TASKS`, or of the cell's own, as a joint path by a model vector (model size,).
 
     All tasks start from the aligned pose, q0: mirror normal Zt along +Yf, Xt along Xf, and the mirror point that
     reflects at joint vector zero, tPr, where it reflects there, wPr. ``circle`` translates around wPr in the mirror
     plane, ``line-x`` and ``line-z`` along Xf and Zf from -150 to 150 um; ``tilt-x`` and ``tilt-z`` turn by -3 to 3 deg
     about Xf and Zf through wPr, less where the limits are narrower (see `half_line`, `half_tilt`); ``spin`` turns about
-    Yf through wPr, to either side until a joint limit or 90 deg. By default the radius is `default_radius`.
+    Yf through wPr, to either side until a joint limit or 90 deg. By default the radius is `default_radius`, and
+    `placement` that of the vector.
     """
     own = {task.name: task for task in cell.tasks}
     if name not in TASKS and name not in own:
@@ -120,7 +129,7 @@ def task_path(cell: Cell, vector: Floats, name: str, *, radius: float | None = N
         raise InputError(f"radius {radius:g} um: expected a number above zero")
     if n_points < 2:
         raise InputError(f"task {name!r} with {n_points} points: expected at least two")
-    placement, offsets = Placement.of(cell, vector), np.zeros((n_points, 6))
+    placement, offsets = placement or Placement.of(cell, vector), np.zeros((n_points, 6))
     task = own[name] if name in own else _built_in(cell, vector, placement, name, radius)
     offsets[:, :3] = task.centre
     if task.kind == "circle":
@@ -190,7 +199,15 @@ def user_path(cell: Cell, vector: Floats, path: str | Path) -> Task:
     return _follow(cell, vector, placement, Path(path).name, offsets, np.arange(1.0, len(offsets) + 1.0), "point")
 
 
-def find_task(cell: Cell, vector: Floats, task: str, *, radius: float | None = None, n_points: int = 61) -> Task:
+def find_task(
+    cell: Cell,
+    vector: Floats,
+    task: str,
+    *,
+    radius: float | None = None,
+    n_points: int = 61,
+    placement: Placement | None = None,
+) -> Task:
     """A task by name, or a user's path by file name; as `task_path` and `user_path`.
 
     Raises
@@ -201,7 +218,7 @@ def find_task(cell: Cell, vector: Floats, task: str, *, radius: float | None = N
     if vector.shape != (len(cell.parameters),) or not np.isfinite(vector).all():
         raise InputError(f"vector of shape {vector.shape}: expected {len(cell.parameters)} finite numbers")
     if task in TASKS or not task.lower().endswith(".csv"):
-        return task_path(cell, vector, task, radius=radius, n_points=n_points)
+        return task_path(cell, vector, task, radius=radius, n_points=n_points, placement=placement)
     return user_path(cell, vector, task)
 
 

@@ -83,7 +83,7 @@ def _part_descended(
     chosen = range(n + len(others))
 
     def criterion_at(sweeps: Sweeps) -> Criterion:
-        return judge(join([sweeps, others], "descent"))
+        return judge(join([sweeps, others], "descent") if len(others) else sweeps)
 
     begun = criterion_at(space.plan)
     first = begun.value(chosen)

@@ -124,14 +124,15 @@ class Design:
         """Task variances, um^2, if each candidate `among` all joined, (n, n_tasks): of `worst` points or means."""
         rows = self.rows if among is None else self.rows[:, among]
         n_draws, n_candidates, k, n = rows.shape
-        left = np.zeros((n_candidates, len(self.names)))
-        for draw, root in enumerate(self.roots(chosen)):
+        left, starts = np.zeros((n_candidates, len(self.names))), self.task_start
+        added = self.rows[:, list(chosen)].reshape(n_draws, -1, n)
+        # By the information, for a candidate's value needs fewer digits than what is told of a plan.
+        factors = np.linalg.cholesky(self.information + added.transpose(0, 2, 1) @ added)
+        for draw, root in enumerate(np.linalg.inv(factors).transpose(0, 2, 1)):
             points = self.tasks[draw] @ root
             scaled = rows[draw].reshape(-1, n) @ root
             products = (scaled @ points.T).reshape(n_candidates, k, -1)
-            add_left(
-                scaled.reshape(n_candidates, k, n), products, (points**2).sum(axis=1), self.task_start, worst, left
-            )
+            add_left(scaled.reshape(n_candidates, k, n), products, (points**2).sum(axis=1), starts, worst, left)
         return np.asarray(left / n_draws)
 
 

@@ -29,7 +29,7 @@ from fpcal_bayes.model.estimate import Estimate
 #: the plans that were found are judged and joined on.
 _FEW, _PASSES, _STARTED, _WIDER = 300, 2, 20, 3
 #: Plans whose sweeps are crossed, and starts and crossings of a short search.
-_PARENTS, _SHORT = 4, (2, 3)
+_PARENTS, _SHORT = 4, (4, 1)
 #: Draws that tell whether a sweep turns round for the sake of lost motion, and what it must gain.
 _TURNED_DRAWS, _TURNED_GAIN = 4, 0.005
 #: Numbers of sweeps on the frontier.
@@ -49,7 +49,7 @@ class PlanSettings:
     # starts of the search and crossings of what these found, on `share` draws each, and steps of the descent over all
     # draws at the end; without these the search keeps to the candidates
     starts: int = 4
-    crossings: int = 8
+    crossings: int = 10
     share: int = 32
     iterations: int = 60
     several: bool = False  # also move several joints of one controller at once
@@ -129,7 +129,7 @@ class Planner:
             )
         tries = settings.starts + settings.crossings * bool(settings.iterations)
         # In descents of `_STARTED` steps on `share` draws.
-        work = np.cumsum([0.0, tries, 3.0 * _WIDER, settings.iterations / _STARTED * n_draws / settings.share])
+        work = np.cumsum([0.0, tries, 1.0 * _WIDER, settings.iterations / _STARTED * n_draws / settings.share])
 
         def begun(stage: int, share: float) -> None:
             self.tell(float(work[stage] + share * (work[stage + 1] - work[stage])) / float(work[-1]))
@@ -137,20 +137,22 @@ class Planner:
         found: list[Sweeps] = []
         for number in range(tries):
             ground = self._part(number, settings.share)
-            start = self._start if number < settings.starts else self._crossed
-            found.append(self._descended(start(n, number, found, ground), ground, _STARTED))
+            begin = self._crossed(n, found, ground) if number >= settings.starts else self._start(n, number)
+            found.append(self._descended(begin, ground, _STARTED))
             begun(0, (number + 1) / tries)
         best = self._joined(found, self._part(0, _WIDER * settings.share))
         begun(1, 1.0)
         return self.refined(best, lambda share: begun(2, share))
 
-    def _start(self, n: int, number: int, found: list[Sweeps], ground: Ground) -> Sweeps:
+    def _start(self, n: int, number: int) -> Sweeps:
         """The best of a part of the candidates: one by one, then each again beside the others."""
         count = min(max(n, len(self.candidates) // self.settings.starts, _FEW), len(self.candidates))
         random = np.random.default_rng([self.settings.seed, number])
-        return self._chosen(self.candidates.take(random.choice(len(self.candidates), count, replace=False)), n, ground)
+        some = self.candidates.take(random.choice(len(self.candidates), count, replace=False))
+        # Half of the draws tell enough of where a descent should start.
+        return self._chosen(some, n, self._part(number, max(self.settings.share // 2, 1)))
 
-    def _crossed(self, n: int, number: int, found: list[Sweeps], ground: Ground) -> Sweeps:
+    def _crossed(self, n: int, found: list[Sweeps], ground: Ground) -> Sweeps:
         """As a start, among the sweeps of the best of plans that were found."""
         values = [self.judge(plan, ground).value(range(n)) for plan in found]
         parents = [found[i] for i in np.argsort(values, kind="stable")[:_PARENTS]]
@@ -167,9 +169,7 @@ class Planner:
         every = join(found, "joined")
         judge = self.judge(every, ground)
         begun = tuple(range(n * best, n * (best + 1))), greedy(judge, n)
-        ends = [every.take(np.array(exchange(judge, start, passes=_PASSES))) for start in begun]
-        ends = [self._descended(plan, ground, _STARTED) for plan in ends]
-        return min(ends, key=lambda plan: self.judge(plan, ground).value(range(n)))
+        return every.take(np.array(min((exchange(judge, start, passes=_PASSES) for start in begun), key=judge.value)))
 
     def _part(self, number: int, share: int) -> Ground:
         """The ground averaged over the draws of one start: neighbours in a quasi-random sequence fill the space."""

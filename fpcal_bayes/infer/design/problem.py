@@ -25,6 +25,7 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.margin import normal_draws
 from fpcal_bayes.model.mechanics import Terms
+from fpcal_bayes.motion.placement import Placement
 from fpcal_bayes.motion.tasks import Task, default_radius, find_task
 
 #: Tasks that a plan serves unless others are named.
@@ -74,7 +75,8 @@ def goals_of(
     reason = ""
     for number, point in enumerate(values):
         try:
-            paths = [find_points(model, point, task, radius, points) for task in tasks]
+            placement = Placement.of(model.cell, model.vector(point))
+            paths = [find_points(model, point, task, radius, points, placement) for task in tasks]
         except UnreachableError as error:
             reason = str(error)
             continue
@@ -89,9 +91,12 @@ def goals_of(
     return Goals(values[kept], jacobians, len(values) - len(kept), motions, np.median(ends, axis=1))
 
 
-def find_points(model: CavityModel, values: Floats, name: str, radius: float, points: int) -> Task:
+def find_points(
+    model: CavityModel, values: Floats, name: str, radius: float, points: int, placement: Placement
+) -> Task:
     """A task's points that can be driven to, the nearest in place of those that cannot."""
-    task = find_task(model.cell, model.vector(values), name, radius=radius, n_points=points)
+    vector = model.vector(values)
+    task = find_task(model.cell, vector, name, radius=radius, n_points=points, placement=placement)
     if not task.ok.any() or not np.isfinite(task.start).all():
         raise UnreachableError(f"task {task.name!r}: no point can be driven to; point 1: {task.status[0]}")
     good = np.flatnonzero(task.ok)

@@ -106,14 +106,9 @@ def measure_path(
     means, heights = fringe(cell.interferometer, distance, tilt)
     begin = float(trace.time_s[trace.before].mean())
     end = float(trace.time_s[trace.after].mean()) if last is not None else float(trace.time_s[-1])
-    levels = Levels(
-        first,
-        last,
-        (trace.time_s[path] - begin) / (end - begin),
-        (means[path] - means[base]) / heights[base],
-        heights[path] / heights[base],
-        stability,
-    )
+    share = (trace.time_s[path] - begin) / (end - begin)
+    lift, ratio = (means[path] - means[base]) / heights[base], heights[path] / heights[base]
+    levels = Levels(first, last, share, lift, ratio, stability)
     expected = first.wave_number * (lengths[path] - lengths[base])
     curve = fit_curve(trace.irradiance[path], expected, levels)
 

@@ -118,7 +118,7 @@ def _plan(
             f"{options.minutes:g}"
         )
     if settings.several:
-        single = planner.short(several=False)
+        single = planner.short(False, bar.part("single joints"))
         plain = single.in_order(single.best(len(ordered)).sweeps)
         expected["single joints"] = check.expected_sd(plain, readings=readings, sigma=sigma)
         seconds["single joints"] = duration(cell, plain, readings, settings.limits)

@@ -103,13 +103,7 @@ class Task:
 
 
 def task_path(
-    cell: Cell,
-    vector: Floats,
-    name: str,
-    *,
-    radius: float | None = None,
-    n_points: int = 61,
-    placement: Placement | None = None,
+    cell: Cell, vector: Floats, name: str, radius: float | None = None, n_points: int = 61, at: Placement | None = None
 ) -> Task:
     """A task of `TASKS`, or of the cell's own, as a joint path by a model vector (model size,).
 
@@ -117,8 +111,8 @@ def task_path(
     reflects at joint vector zero, tPr, where it reflects there, wPr. ``circle`` translates around wPr in the mirror
     plane, ``line-x`` and ``line-z`` along Xf and Zf from -150 to 150 um; ``tilt-x`` and ``tilt-z`` turn by -3 to 3 deg
     about Xf and Zf through wPr, less where the limits are narrower (see `half_line`, `half_tilt`); ``spin`` turns about
-    Yf through wPr, to either side until a joint limit or 90 deg. By default the radius is `default_radius`, and
-    `placement` that of the vector.
+    Yf through wPr, to either side until a joint limit or 90 deg. By default the radius is `default_radius`; the
+    task is placed `at` the vector's own placement.
     """
     own = {task.name: task for task in cell.tasks}
     if name not in TASKS and name not in own:
@@ -129,7 +123,7 @@ def task_path(
         raise InputError(f"radius {radius:g} um: expected a number above zero")
     if n_points < 2:
         raise InputError(f"task {name!r} with {n_points} points: expected at least two")
-    placement, offsets = placement or Placement.of(cell, vector), np.zeros((n_points, 6))
+    placement, offsets = at or Placement.of(cell, vector), np.zeros((n_points, 6))
     task = own[name] if name in own else _built_in(cell, vector, placement, name, radius)
     offsets[:, :3] = task.centre
     if task.kind == "circle":
@@ -200,13 +194,7 @@ def user_path(cell: Cell, vector: Floats, path: str | Path) -> Task:
 
 
 def find_task(
-    cell: Cell,
-    vector: Floats,
-    task: str,
-    *,
-    radius: float | None = None,
-    n_points: int = 61,
-    placement: Placement | None = None,
+    cell: Cell, vector: Floats, task: str, radius: float | None = None, n_points: int = 61, at: Placement | None = None
 ) -> Task:
     """A task by name, or a user's path by file name; as `task_path` and `user_path`.
 
@@ -218,7 +206,7 @@ def find_task(
     if vector.shape != (len(cell.parameters),) or not np.isfinite(vector).all():
         raise InputError(f"vector of shape {vector.shape}: expected {len(cell.parameters)} finite numbers")
     if task in TASKS or not task.lower().endswith(".csv"):
-        return task_path(cell, vector, task, radius=radius, n_points=n_points, placement=placement)
+        return task_path(cell, vector, task, radius=radius, n_points=n_points, at=at)
     return user_path(cell, vector, task)
 
 

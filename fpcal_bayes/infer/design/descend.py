@@ -45,12 +45,10 @@ def descend(
 ) -> Sweeps:
     """Move the ends of all sweeps together to where the criterion is smallest nearby; those given if nothing is gained.
 
-    It is sequential quadratic programming (SLSQP, Kraft 1988) with the joints' ranges as bounds and the tilt of the
-    mirror at both ends as constraint. Large plans descend in parts, for its time grows with the cube of their size.
-
-    `sweeps` can be followed, and so can the result; `judge` gives the criterion over candidates, whose rows `made`
-    makes. Visibility and fringe rate are judged at `values` (n_free,) of the cell's free parameters. With `several` all
-    joints of a controller may move that moves one, else only those that move. Each part takes `iterations` at most.
+    Sequential quadratic programming (SLSQP, Kraft 1988) within the joints' ranges and the tilt at the ends; large plans
+    in parts of `iterations` each, for its time grows with the cube of their size. `judge` gives the criterion over
+    candidates, whose rows `made` makes; what can be followed is judged at `values` (n_free,) of the free parameters.
+    With `several` all joints of a controller may move that moves one, else only those that move.
     """
     if iterations < 1:
         return sweeps

@@ -77,10 +77,9 @@ def choose_sweeps(
 ) -> ChosenSweeps:
     """Choose sweeps that leave least unknown of the tasks; the same for the same arguments, for nothing is drawn.
 
-    `candidates` are whole sweeps, as from `candidate_sweeps`, and `rows` their whitened rows by the state, as from
-    `sweep_rows`, at one point or over draws: shape (n_draws, n_candidates, readings, n). `tasks` are derivatives of
-    each task's points by the state in um, shape (n_draws or 1, n_points, n). `covariance` (n, n) is that of the state
-    as it is known now, in the units that the derivatives are by, by default the identity.
+    `candidates` are whole sweeps and `rows` their whitened rows by the state, shape (n_draws, n_candidates, readings,
+    n), as from `sweep_rows`. `tasks` are derivatives of each task's points by the state in um, shape (n_draws or 1,
+    n_points, n). `covariance` (n, n) is that of the state as it is known now, by default the identity.
 
     Each task is judged by its standard deviation over that in `tolerances`, in um, by default all alike, at the worst
     task's worst point or with `mean` averaged. Without `passes` of the exchange sweeps are taken greedily. `InputError`

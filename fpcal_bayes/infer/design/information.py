@@ -35,11 +35,9 @@ class Design:
     def of(
         cls, rows: Floats, tasks: Mapping[str, Floats], covariance: Floats | None = None, known: Floats | None = None
     ) -> "Design":
-        """Set up a design.
+        """Of whitened rows of candidates by the state and of what is `known` anyway (n_draws, n_rows, n).
 
-        Given are whitened rows of each candidate by the state (n_draws, n_candidates, k, n), derivatives of each task
-        by it in um (n_draws, n_points, n), its covariance before any measurement (n, n), which may be singular and by
-        default is the identity, and whitened rows of what is measured anyway (n_draws, n_rows, n).
+        `covariance` (n, n) before any measurement may be singular; by default it is the identity.
         """
         n_draws, n = len(rows), rows.shape[-1]
         points = np.concatenate(
@@ -126,7 +124,6 @@ class Design:
         n_draws, n_candidates, k, n = rows.shape
         left, starts = np.zeros((n_candidates, len(self.names))), self.task_start
         added = self.rows[:, list(chosen)].reshape(n_draws, -1, n)
-        # By the information, for a candidate's value needs fewer digits than what is told of a plan.
         factors = np.linalg.cholesky(self.information + added.transpose(0, 2, 1) @ added)
         for draw, root in enumerate(np.linalg.inv(factors).transpose(0, 2, 1)):
             points = self.tasks[draw] @ root

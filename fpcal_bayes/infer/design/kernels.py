@@ -17,9 +17,8 @@ from fpcal_bayes.model.kernels.compile import compiled
 def add_left(rows: Floats, products: Floats, variances: Floats, task_start: Ints, worst: bool, left: Floats) -> None:
     """Add up, over the draws, the task variances that each candidate would leave, in `left` (n_candidates, n_tasks).
 
-    rows: of the candidates in units of the present uncertainty, shape (n_candidates, k, n).
-    products: rows times derivatives of the tasks, shape (n_candidates, k, n_points); overwritten.
-    variances: present variances of the points, shape (n_points,).
+    rows, products: in units of the present uncertainty (n_candidates, k, n), and times derivatives of the tasks
+    (n_candidates, k, n_points); overwritten. variances: present ones of the points, shape (n_points,).
     task_start: where the points of each task start, and where the last ends, shape (n_tasks + 1,).
     worst: take the worst point of a task, else the mean over its points.
     """

@@ -234,10 +234,10 @@ class Planner:
             raise InputError(f"{seconds / 60.0:g} min: not even one sweep takes as little")
         return best
 
-    def short(self, several: bool) -> "Planner":
+    def short(self, several: bool, tell: Callable[[float], None] = lambda _: None) -> "Planner":
         """A planner that searches less, on fewer draws, for a comparison."""
         less = replace(self.settings, starts=_SHORT[0], crossings=_SHORT[1], several=several)
-        return Planner(self._part(0, _WIDER * less.share), less, self._tolerances)
+        return Planner(self._part(0, _WIDER * less.share), less, self._tolerances, tell)
 
     def frontier(self, check: Ground, most: int, tell: Callable[[float], None] = lambda _: None) -> "Frontier":
         """What plans of several numbers of sweeps, up to `most`, by short searches, leave on the ground `check`."""

@@ -75,8 +75,9 @@ def goals_of(
     reason = ""
     for number, point in enumerate(values):
         try:
-            placement = Placement.of(model.cell, model.vector(point))
-            paths = [find_points(model, point, task, radius, points, placement) for task in tasks]
+            vector = model.vector(point)
+            at = Placement.of(model.cell, vector)
+            paths = [_points_of(find_task(model.cell, vector, task, radius, points, at)) for task in tasks]
         except UnreachableError as error:
             reason = str(error)
             continue
@@ -91,12 +92,8 @@ def goals_of(
     return Goals(values[kept], jacobians, len(values) - len(kept), motions, np.median(ends, axis=1))
 
 
-def find_points(
-    model: CavityModel, values: Floats, name: str, radius: float, points: int, placement: Placement
-) -> Task:
+def _points_of(task: Task) -> Task:
     """A task's points that can be driven to, the nearest in place of those that cannot."""
-    vector = model.vector(values)
-    task = find_task(model.cell, vector, name, radius=radius, n_points=points, placement=placement)
     if not task.ok.any() or not np.isfinite(task.start).all():
         raise UnreachableError(f"task {task.name!r}: no point can be driven to; point 1: {task.status[0]}")
     good = np.flatnonzero(task.ok)

@@ -20,11 +20,10 @@ TRACE_PLACES, TRACE_READINGS = 6, 32
 def sweep_rows(
     model: CavityModel, values: Floats, sweeps: Sweeps, *, readings: int = 2, sigma: float = 0.005
 ) -> Floats:
-    """Whitened derivatives of the rows of each sweep, shape (n_draws, n_sweeps, n_rows, n_free), per um or rad.
+    """Whitened derivatives of the rows of whole sweeps, shape (n_draws, n_sweeps, n_rows, n_free), per um or rad.
 
-    They are linearised at `values` (n_draws, n_free), in um and rad. `sweeps` are a plan of whole sweeps; there are
-    `readings` of each after its start, by every beam: 1 end point, 2 midpoint and end point, and so on. `sigma` is the
-    standard deviation of a row in um.
+    They are linearised at `values` (n_draws, n_free), in um and rad. There are `readings` of each sweep after its
+    start, by every beam: 1 end point, 2 midpoint and end point, and so on, of standard deviation `sigma` in um.
     """
     plan = seen_by_all(read_often(sweeps, readings), model.cell)
     whitened = plan_rows(model, values, replace(plan, sigma=np.full(len(plan), sigma)))

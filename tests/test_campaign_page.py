@@ -135,7 +135,7 @@ def test_the_page_needs_nothing_else(page):
     assert "@import" not in page
     assert all(target.startswith("#") for target in re.findall(r"url\(([^)]*)\)", page))
     assert len(page) < 5_000_000
-    assert [tag for tag, _ in reader.tags].count("svg") == 7
+    assert [tag for tag, _ in reader.tags].count("figure") == 7
     for text in ("Not sampled", "fpcal sample campaign.h5", "sha256", "Uncertainty budget of circle", "as-modelled"):
         assert text in reader.text
 
@@ -146,6 +146,13 @@ def test_json_says_what_the_page_says(file, page, facts):
     assert content["report"]["verdict"] == verdict(facts).word
     assert all(sentence in Reader(page).text for sentence in content["report"]["sentences"])
     assert content["report"]["tasks"]["circle"] == standing(facts.tasks[0], facts)[0]
+
+
+def test_the_table_and_the_headline_have_one_probability(facts):
+    told = facts.tasks[0].numbers
+    assert told.exceeds == facts.decision.now.exceeds(facts.goal.tolerance_um)
+    assert told.median == pytest.approx(1e3 * facts.decision.now.median)
+    assert (told.least, told.most) == pytest.approx([1e3 * edge for edge in facts.decision.now.band()])
 
 
 def test_everything_users_give_is_escaped(file, tmp_path, monkeypatch):
@@ -237,8 +244,12 @@ def test_in_a_browser(page, tmp_path):
             assert shown.requests == [path.as_uri()]
             assert shown.messages == []
             assert shown.run("document.documentElement.scrollWidth <= window.innerWidth")
+            edges = shown.run("[...document.querySelectorAll('figure svg')].map(s => s.getBoundingClientRect().right)")
+            assert max(edges) <= width
         shown.open(path, 1280)
-        sizes = shown.run("[...document.querySelectorAll('figure:not(.drawn) svg')].map(s => s.clientHeight)")
+        sizes = shown.run(
+            "[...document.querySelectorAll('figure:not(.drawn) svg:not(.legend)')].map(s => s.clientHeight)"
+        )
         assert min(sizes) > 100
         column = "[...document.querySelectorAll('table')[0].rows].slice(1).map(r => Number(r.cells[3].dataset.sort))"
         shown.run("document.querySelectorAll('table')[0].rows[0].cells[3].click()")

@@ -19,6 +19,8 @@ from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.simulator.recorder import record_sweeps
+from fpcal_bayes.simulator.sweeps import noise_free
 
 
 @pytest.fixture(scope="module")
@@ -154,6 +156,20 @@ def test_doubtful_sweeps_are_listed_and_kept(femto: Cell, campaign: TraceIndex, 
     np.testing.assert_allclose(again.sweeps.dl, found.sweeps.dl, rtol=1e-12)
     with pytest.raises(InputError, match="no sweep can be used; node0-rz: refused: the signal is constant"):
         ingest(picked(part, [1]), femto)
+
+
+def test_a_mirror_image_far_beyond_its_sweep_is_none(femto: Cell) -> None:
+    """The image of a late start of `node1-ry` lies a thousand sweeps away, since the mirror turns where it sets out."""
+    paper, plan = paper_truth(femto), paper_protocol(femto)
+    sds = np.array([p.prior_sd for p in paper.parameters])
+    drawn = femto.free.nominal + sds * np.random.default_rng(199).standard_normal(21)
+    truth = replace(paper, times_h=np.zeros(1), values=drawn[None])
+    row = int(np.flatnonzero(plan.label == "node1-ry")[0])
+    rows = np.array([row, *range(40, 50)])
+    found = ingest(record_sweeps(femto, truth, plan, seed=199, scans=False).take(rows), femto).readings[0]
+    assert found is not None
+    assert found.good
+    assert abs(found.dl - abs(noise_free(femto, truth, plan)[row])) < 4.0 * found.sigma
 
 
 def test_a_path_is_no_sweep(femto: Cell, campaign: TraceIndex) -> None:

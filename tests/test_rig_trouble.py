@@ -8,13 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rig_fixtures import SteppedClock, constant, live, write_ticket
+from rig_fixtures import SteppedClock, constant, live, write_rig, write_ticket
 from test_rig_files import with_columns
 
 from fpcal_bayes.analysis.append import append
+from fpcal_bayes.cli import measure
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.times import iso
+from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.io.campaign import read_campaign
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.sweeps import read_sweeps, write_csv, write_sweeps
@@ -26,6 +28,7 @@ from fpcal_bayes.rig import reader
 from fpcal_bayes.rig.bench import Bench, only_one
 from fpcal_bayes.rig.clock import Clock, Halt
 from fpcal_bayes.rig.results import sweeps_of
+from fpcal_bayes.rig.route import ForbiddenMoveError, Guard
 from fpcal_bayes.rig.session import Failed
 from fpcal_bayes.simulator.sweeps import noise_free, simulate_um
 
@@ -254,3 +257,35 @@ def test_a_ticket_that_expires_half_measured_is_followed_by_another(cell_live, f
     assert read_ticket("ticket.csv", femto).plan is None
     assert (campaign.sweeps.utc != "").all()
     assert all(allowed for _, _, allowed in cell_live.lab.commanded)
+
+
+def test_moves_keep_to_the_prior_where_the_estimate_is_not_to_be_used(tmp_path, monkeypatch, capsys):
+    """Some lengths of the calibration are wrong: what the fit says of tilts is not what keeps the mirror in sight."""
+    monkeypatch.chdir(tmp_path)
+    text = (Path(__file__).parent.parent / "data" / "femto-st.toml").read_text()
+    Path("cell.toml").write_text(text.replace("max_tilt_deg = 30.0", "max_tilt_deg = 16.7"))
+    cell, clock, guards = load_cell("cell.toml", mechanics="none"), SteppedClock(1.8e9), []
+    sweeps = simulate_um(cell, constant(cell), paper_protocol(cell, midpoints=True), sigma=0.003, seed=1)
+    found = identify(cell, sweeps).estimate
+    wrong = np.zeros(len(sweeps))
+    wrong[[14, 40, 66]] = 0.05, -0.08, 0.06
+    write_sweeps("campaign.h5", sweeps.with_measurement(sweeps.dl + wrong, sweeps.sigma), cell)
+    rig = write_rig(tmp_path / "rig.toml")
+
+    def stopped(options, cell, rig, guard, *rest):
+        guards.append(guard)
+        raise InputError("stopped before the first move")
+
+    monkeypatch.setattr(reader, "Clock", lambda *_: clock)
+    monkeypatch.setattr(measure, "drive", stopped)
+    line = "keep campaign.h5 --ticket ticket.csv --estimate now.json --rig rig.toml --once --mechanics none"
+    assert main([*line.split(), "--cell", "cell.toml"]) == 2
+    assert "stopped before the first move" in capsys.readouterr().err
+    said = json.loads(Path("now.json").read_text())
+    assert (said["trust"]["usable"], read_ticket("ticket.csv", cell).plan is None) == (False, False)
+    (guard,) = guards
+    there = np.radians([0.0, 0.0, 0.0, 4.9, 4.9, 0.0])
+    known = Guard(cell, reader.read_rig(rig, cell), found)
+    known.check_move(np.zeros(6), there, "known")
+    with pytest.raises(ForbiddenMoveError, match=r"unknown: .*tilt"):
+        guard.check_move(np.zeros(6), there, "unknown")

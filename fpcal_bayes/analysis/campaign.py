@@ -8,6 +8,7 @@ import numpy as np
 from fpcal_bayes.analysis.tasks import TaskNumbers, judged
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256
+from fpcal_bayes.core.linalg import quantile_band
 from fpcal_bayes.decision.decision import Costs, Decision
 from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.decision.policy import decide_track
@@ -16,7 +17,7 @@ from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.observability.observe import Observability, observe
 from fpcal_bayes.infer.posterior.netcdf import PosteriorSummary, read_posterior_summary
 from fpcal_bayes.infer.tasks.budget import Budget, budget_of
-from fpcal_bayes.infer.tasks.prediction import TaskPrediction, predict_from_covariance
+from fpcal_bayes.infer.tasks.prediction import BAND, TaskPrediction, predict_from_covariance
 from fpcal_bayes.infer.tasks.source import path_points
 from fpcal_bayes.infer.verification.verify import Verification, read_verification
 from fpcal_bayes.io.campaign import read_campaign
@@ -101,10 +102,7 @@ class Followed:
 
 
 def follow(file: str | Path, cell: Cell, *, now: str | float | None = None, anew: bool = False) -> Followed:
-    """Follow a campaign from where a saved track ends, or `anew`; sessions after `now` are refused.
-
-    As text `now` is hours since the campaign began or a clock time; a number is a Unix time, held against clock times.
-    """
+    """Follow a campaign from its saved track on, or `anew`; none after `now`: hours, a clock time, a Unix time."""
     measured = _Measured.read(file, cell, now)
     warm_up(cell)
     found, notes = measured.follow(anew=anew)
@@ -223,7 +221,7 @@ def gather(
         decision=decision,
         decision_reason=decision_reason,
         estimate=estimate,
-        tasks=tuple(_outlook(estimate, name, name in goal.tasks, goal) for name in judged),
+        tasks=tuple(_as_decided(_outlook(estimate, each, goal), forecast, decision) for each in judged),
         budget=budget,
         budget_reason=budget_reason,
         posterior=draws,
@@ -257,7 +255,7 @@ def _estimate_now(followed: Track, now_h: float) -> Estimate:
     return replace(estimate_of(followed.cell, drift, grown, followed.status, followed.data), trust=followed.trust)
 
 
-def _outlook(estimate: Estimate, name: str, asked: bool, goal: Goal) -> TaskStanding:
+def _outlook(estimate: Estimate, name: str, goal: Goal) -> TaskStanding:
     try:
         path = find_task(estimate.cell, estimate.vector(), name, radius=goal.radius_um, n_points=path_points(estimate))
         task = compensated(estimate, path) if goal.compensate else path
@@ -266,9 +264,23 @@ def _outlook(estimate: Estimate, name: str, asked: bool, goal: Goal) -> TaskStan
         own = {each.name: each for each in estimate.cell.tasks}
         risks = [numbers.exceeds, *(judged(prediction, own[name]).values() if name in own else [])]
         risk = max((each for each in risks if each is not None), default=None)
-        return TaskStanding(name, asked, task, prediction, numbers, risk=risk)
+        return TaskStanding(name, name in goal.tasks, task, prediction, numbers, risk=risk)
     except InputError as error:
-        return TaskStanding(name, asked, None, None, None, str(error))
+        return TaskStanding(name, name in goal.tasks, None, None, None, str(error))
+
+
+def _as_decided(told: TaskStanding, forecast: Forecaster | None, decision: Decision | None) -> TaskStanding:
+    """A task that must be held, in the numbers that the decision rests on, so that the page has one of each."""
+    if not told.asked or told.numbers is None or told.risk is None or forecast is None or decision is None:
+        return told
+    i = forecast.goal.tasks.index(told.name)
+    if forecast.counts[i] > 1:  # held to other degrees of freedom too, all in one
+        return told
+    widths = 1e3 * decision.now.peaks[i]
+    least, most = quantile_band(widths, BAND).tolist()
+    risk = float((widths > forecast.goal.tolerance_nm).mean())
+    numbers = replace(told.numbers, median=float(np.median(widths)), least=least, most=most, exceeds=risk)
+    return replace(told, numbers=numbers, risk=risk)
 
 
 def _budget(found: Identification, goal: Goal) -> tuple[Budget | None, str]:

@@ -93,7 +93,9 @@ def _fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Iterator
     for reason in found.estimate.trust.reasons:
         if reason.kind == "mechanics":
             remedy = "find out what moves, or state the size that the rows show in [joint.mechanics]"
-            yield Finding("doubt", "mechanics", name, reason.text, remedy)
+            yield Finding(
+                "doubt", "mechanics", name, reason.text.removesuffix("; fpcal doctor says what to do"), remedy
+            )
         elif reason.kind == "residuals":
             yield Finding("doubt", "residuals", name, reason.text, _residual_remedy(reason.text))
     if str(used.label[-1]).startswith(LABEL):

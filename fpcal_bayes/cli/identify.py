@@ -5,7 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import fpcal_bayes.analysis as analysis
+import fpcal_bayes.infer as infer
 import fpcal_bayes.io as io
+import fpcal_bayes.report as report
 from fpcal_bayes.cli.common import show, warn, write_result
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256
@@ -14,7 +16,6 @@ from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.fit.prior import bends
 from fpcal_bayes.infer.posterior.draws import draws_content
-from fpcal_bayes.infer.verification.verify import kept_rows, verify
 from fpcal_bayes.io.estimate import read_estimate, read_estimate_rows
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps, pool
@@ -22,7 +23,6 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.trust import KINDS
 from fpcal_bayes.report.fit import fit_lines, parameter_table
-from fpcal_bayes.report.verification import verification_lines
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
@@ -31,13 +31,14 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
     sweeps, prior, before = with_prior(options.prior, cell, sweeps)
     cell.select(options.free)
     warm_up(cell)
-    kept = None if options.hold_out is None else kept_rows(sweeps, options.hold_out)
+    # What verifies loads much that a fit does without, when it is first called.
+    kept = None if options.hold_out is None else infer.kept_rows(sweeps, options.hold_out)
     used = sweeps if kept is None else sweeps.take(kept)
     found = identify(cell, used, free=options.free, start=start, hold=options.hold, prior=prior)
     result = with_source(found, options.file, sweeps, before)
     verified = {}
     if kept is not None and found.estimate.trust.usable:
-        made = verify(found, sweeps, kept)
+        made = infer.verify(found, sweeps, kept)
         verified = {"verification": made.content()}
         trust = result.estimate.trust.because(*made.reasons)
         texts = [reason.text for reason in made.reasons]
@@ -48,7 +49,7 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
         write_result(options.json, "identify", {**result.content(), **draws, **verified})
         warn(draws.get("warnings", [])[-1:])
     title = f"{options.file}, session {','.join(sweeps.sessions)}: {counted(len(result.problem.sweeps), 'row')}"
-    lines = [*fit_lines(result), *(verification_lines(made) if verified else [])]
+    lines = [*fit_lines(result), *(report.verification_lines(made) if verified else [])]
     show(options, [parameter_table(result.estimate, title), *lines], result.warnings)
     return 0 if result.converged else 1
 

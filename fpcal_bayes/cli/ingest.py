@@ -36,6 +36,8 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
         wavelength_sd=1e-6 * (options.wavelength_sd_pm or 0.0),
         index_sd=options.index_sd or 0.0,
     )
+    if len(index.sweeps) > 20:
+        print(f"fpcal: reading {len(index.sweeps)} recordings, up to a second each", file=sys.stderr)
     found = ingest(index, cell, estimate=estimate, settings=settings)
     folder = options.plots or options.output.with_name(f"{options.output.stem}_doubtful")
     drawn = 0 if options.no_plots else _draw(folder, found, index, cell)
@@ -138,5 +140,5 @@ def _report(options: argparse.Namespace, found: Ingested, folder: Path | None) -
         )
     if len(found.doubtful):
         where = f", drawn in {folder}" if folder else ""
-        sentences.append(f"{len(found.doubtful)} doubtful, left out{where}")
+        sentences.append(f"{len(found.doubtful)} doubtful, left out{where}: see why, and record these again")
     show(options, sentences, found.warnings)

@@ -99,7 +99,11 @@ def _plan(
         chosen = planner.fewest(most=most, check=check)
     else:
         chosen = planner.best(most) if options.minutes is None else planner.within(60.0 * options.minutes, most)
-    chosen = replace(chosen, sweeps=_labelled(chosen.sweeps))
+    # Named by their usefulness and the joints that move.
+    moves = chosen.sweeps.q_start != chosen.sweeps.q_end
+    moved = ("".join(f"q{i}" for i, m in enumerate(row, 1) if m) for row in moves)
+    names = [f"p{number:02d}-{joints}" for number, joints in enumerate(moved, 1)]
+    chosen = replace(chosen, sweeps=replace(chosen.sweeps, label=np.array(names, dtype=np.str_)))
     ordered = planner.in_order(chosen.sweeps, options.output)
 
     expected = {
@@ -264,13 +268,6 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple
     for part in extra:
         grounds = [ground.with_known(part, sigma) for ground in grounds]
     return grounds[0], grounds[1], Trust() if estimate is None else estimate.trust
-
-
-def _labelled(sweeps: Sweeps) -> Sweeps:
-    """Sweeps named by their usefulness and the joints that move."""
-    moved = ("".join(f"q{i}" for i, m in enumerate(row, 1) if m) for row in sweeps.q_start != sweeps.q_end)
-    names = [f"p{number:02d}-{joints}" for number, joints in enumerate(moved, 1)]
-    return replace(sweeps, label=np.array(names, dtype=np.str_))
 
 
 def _targets(text: str | None) -> dict[str, float]:

@@ -2,8 +2,13 @@
 
 import sys
 from collections.abc import Callable, Mapping
+from functools import wraps
 from importlib import import_module
-from typing import Any
+from inspect import isfunction, signature
+from types import UnionType
+from typing import Any, get_args
+
+from fpcal_bayes.core.errors import InputError
 
 
 def lazy(package: str, places: Mapping[str, str]) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
@@ -13,7 +18,24 @@ def lazy(package: str, places: Mapping[str, str]) -> tuple[list[str], Callable[[
         if name not in places:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         found = getattr(import_module(f"{package}.{places[name]}"), name)
+        found = _checked(found) if "." not in package and isfunction(found) else found
         setattr(sys.modules[package], name, found)
         return found
 
     return sorted(places), load, lambda: sorted(places)
+
+
+def _checked(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, which refuses what is none of this package's objects that it asks for, in one sentence."""
+    kinds = {name: parameter.annotation for name, parameter in signature(function).parameters.items()}
+
+    @wraps(function)
+    def call(*given: Any, **named: Any) -> Any:
+        for name, value in (*zip(kinds, given, strict=False), *named.items()):
+            kind = kinds.get(name)
+            if isinstance(kind, type | UnionType) and "fpcal_bayes." in str(kind) and not isinstance(value, kind):
+                wanted = (get_args(kind) or (kind,))[0].__name__
+                raise InputError(f"{function.__name__}: {name} is of type {type(value).__name__}, expected {wanted}")
+        return function(*given, **named)
+
+    return call

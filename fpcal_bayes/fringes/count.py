@@ -26,27 +26,23 @@ class Reading:
     """The change of cavity length along one sweep, and how far to trust it."""
 
     label: str  # of the sweep
-    #: dl, sigma: Change from start to end and its standard deviation, in um; NaN where the trace was refused.
-    dl: float = np.nan
-    sigma: float = np.nan
+    dl: float = np.nan  # change from start to end, in um; NaN where the trace was refused
+    sigma: float = np.nan  # its standard deviation, in um
     signed: bool = False  # whether the sign of `dl` is known; else `dl` is a size
     sign_source: str = ""  # who told the sign, or empty
     fringes: float = np.nan  # that passed, those that passed back included
     turns: tuple[float, ...] = ()  # places s on the sweep, from -1 to 1, at which L turns
     reversals: tuple[float, ...] = ()  # joint positions of the same, in um or rad
-    #: set_out, stop, late, uneven: Places at which the mirror set out and stopped, how far the joint moved without it
-    #: (um or rad), and whether it left the joint's course between them.
-    set_out: float = -1.0
-    stop: float = 1.0
-    late: float = 0.0
-    uneven: bool = False
+    set_out: float = -1.0  # place at which the mirror set out
+    stop: float = 1.0  # place at which it stopped
+    late: float = 0.0  # how far the joint moved without it, in um or rad
+    uneven: bool = False  # whether it left the joint's course between them
     refused: str = ""  # why the trace gives no number at all; empty where it gives one
     doubt: str = ""  # why the number is not to be relied on; empty where it is
     alternatives: tuple[float, ...] = ()  # other changes, in um, that the trace allows
     samples_a_fringe: float = np.nan  # on average, while the joint moves
-    #: noise, amplitude: Standard deviation of one sample and mean amplitude of the fringes, in V.
-    noise: float = np.nan
-    amplitude: float = np.nan
+    noise: float = np.nan  # standard deviation of one sample, in V
+    amplitude: float = np.nan  # of the fringes, on average, in V
     #: profile, profile_covariance: L less its mean along the sweep, with the sign of `dl`: Legendre coefficients in um,
     #: see `DisplacementProfile`.
     profile: Floats = field(default_factory=lambda: np.zeros(0), repr=False)
@@ -54,9 +50,8 @@ class Reading:
     #: Relative standard deviation of wavelength over index, which scales the lengths of all traces alike; part of
     #: `sigma` where the sign is not known.
     wavelength_share: float = 0.0
-    #: fit, phase_per_um: What was fitted and its 4 pi n / wavelength, for figures; None where refused.
-    fit: Fit | None = field(default=None, repr=False)
-    phase_per_um: float = np.nan
+    fit: Fit | None = field(default=None, repr=False)  # what was fitted, for figures; None where refused
+    phase_per_um: float = np.nan  # 4 pi n / wavelength
 
     @property
     def good(self) -> bool:

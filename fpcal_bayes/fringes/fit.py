@@ -49,23 +49,19 @@ LIVELY = Nuisance(offset=_OFFSET, gain=_GAIN, fade=(0.6, 0.2, 0.02, 0.01))
 class Fit:
     """A signal fitted."""
 
-    #: profile, covariance: Coefficients of the profile in um, DEGREE or more, and their covariance.
-    profile: Floats
-    covariance: Floats
+    profile: Floats  # coefficients in um, DEGREE or more
+    covariance: Floats  # of these
     modes: Floats  # what the last unknowns, of standard normal priors, add to the profile, shape (degree, n_modes)
-    #: unknowns, unknowns_covariance: All that was fitted, in the order of `normal_equations`, and its covariance.
-    unknowns: Floats
-    unknowns_covariance: Floats
+    unknowns: Floats  # all that was fitted, in the order of `normal_equations`
+    unknowns_covariance: Floats  # of these
     prior: tuple[Floats, Floats]  # mean of the unknowns before the fit, and the inverse of their covariance
     nuisance: Nuisance  # what was allowed beside the fringes
     noise: float  # standard deviation of one reading that was presumed, in V
     evidence: float  # logarithm, up to a constant that fits of one trace share
     residual_squares: float  # sum over readings of the squared residuals of averages, times their count, in V^2
     freedom: float  # number of averages less the effective number of unknowns
-    #: ends, ends_variance: Places at which the mirror is when the joint starts and ends, and what not knowing them adds
-    #: to the variance of the change, in um^2.
-    ends: tuple[float, float] = (-1.0, 1.0)
-    ends_variance: float = 0.0
+    ends: tuple[float, float] = (-1.0, 1.0)  # places at which the mirror is when the joint starts and ends
+    ends_variance: float = 0.0  # what not knowing them adds to the variance of the change, in um^2
 
     @property
     def change(self) -> tuple[float, float]:

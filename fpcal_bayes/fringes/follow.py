@@ -55,11 +55,9 @@ class Followed:
 
     solution: FringeSolution
     phase_per_um: float
-    #: set_out, stop, lag: Places at which the mirror set out and stopped, and how long it lags, as a share of half the
-    #: trace.
-    set_out: float = -1.0
-    stop: float = 1.0
-    lag: float = 0.0
+    set_out: float = -1.0  # place at which the mirror set out
+    stop: float = 1.0  # place at which it stopped
+    lag: float = 0.0  # how long it lags, as a share of half the trace
     size: float = 0.0  # of a course that has polynomials that no joint makes, in um
     hop: float = 0.0  # of the phase, in rad, that explains the trace as well as such a course
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError, located
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.count import Reading, SignSource
 from fpcal_bayes.fringes.fit import CALM, Nuisance
@@ -60,9 +61,8 @@ class Ingested:
     doubtful: DoubtfulRecord  # recordings that gave none
     readings: tuple[Reading | None, ...]  # of each recording, None for absolute lengths
     samples: tuple[Samples | None, ...]  # of each recording as it was laid along its sweep, None for absolute lengths
-    #: scans_before, scans_after: What the scans of each recording say, None where there is none.
-    scans_before: tuple[ScanReading | None, ...]
-    scans_after: tuple[ScanReading | None, ...]
+    scans_before: tuple[ScanReading | None, ...]  # of each recording, None where there is none
+    scans_after: tuple[ScanReading | None, ...]  # the same after it
     warnings: tuple[str, ...]  # sentences for the user
 
 
@@ -335,9 +335,10 @@ def _warnings(
         names = _some([each.label for each in astray])
         ends = [lengths_at(each.profile, np.array([-1.0, each.set_out, each.stop, 1.0])) for each in astray]
         missed = max(float(np.abs(np.diff(lengths)[::2]).sum()) for lengths in ends)
+        most = f"; it misses up to {missed:.2f} um" if missed >= 0.005 else ""
         said.append(
-            f"in {len(astray)} sweeps the mirror does not follow its joint ({names}; it misses up to {missed:.2f} um): "
-            "dL is the mirror's by its fringes, the joint's ends are not held to it; fpcal trace shows them"
+            f"in {counted(len(astray), 'sweep')} the mirror does not follow its joint ({names}{most}): dL is the "
+            "mirror's by its fringes, the joint's ends are not held to it; fpcal trace shows them"
         )
     if (sweeps.group != "").any():
         said.append("groups of the index are dropped: each trace has a start of its own")

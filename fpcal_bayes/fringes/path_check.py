@@ -40,8 +40,7 @@ class PathError:
 
     at: Floats  # samples of the trace's path, as shares of it, shape (n,)
     error: Floats  # e, counted from the start of the path, in um, shape (n,)
-    #: What measurement noise and the uncertainty of A, B and phase may add to it, shape (n_draws, n_points).
-    draws: Floats
+    draws: Floats  # what noise and the uncertainty of A, B and phase may add to it, shape (n_draws, n_points)
     places: NDArray[np.int64]  # samples at which the draws stand, shape (n_points,)
     residual: float  # standard deviation of the irradiance around the curve, in V
     noise: float  # that of the reference scan

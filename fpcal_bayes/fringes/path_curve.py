@@ -8,7 +8,7 @@ scale-free prior.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,9 +43,8 @@ _TURNS, _EXTREME = 4, 0.3
 class Levels:
     """Mean and height of the fringes, between a reference scan before a path and, where there is one, one after it."""
 
-    #: first, last: The reference scans; `last` may be None.
-    first: FringeFit
-    last: FringeFit | None
+    first: FringeFit  # the reference scan before the path
+    last: FringeFit | None  # the one after it
     share: Floats  # how far the samples of the path stand between the scans in time, shape (n,)
     lift: Floats  # by how much the mean rises for a volt of amplitude, since the mirror moves and tilts, shape (n,)
     ratio: Floats  # amplitude relative to that of the first scan's place, shape (n,)
@@ -83,14 +82,12 @@ class Curve:
     """A fitted error along a path."""
 
     error: Floats  # in um, shape (n,)
-    #: coefficients, covariance: Of spline and nuisances, shapes (n_splines + 7,) and (n_splines + 7, n_splines + 7).
-    coefficients: Floats
-    covariance: Floats
+    coefficients: Floats  # of spline and nuisances, shape (n_splines + 7,)
+    covariance: Floats  # of these, shape (n_splines + 7, n_splines + 7)
     basis: Floats  # splines at the samples, shape (n, n_splines)
     residual: float  # standard deviation of the irradiance around the curve, in V
     objective: float  # sum of squares over data, roughness and prior of the levels
-    #: Error of another curve that fits nearly as well and differs by a tenth of a fringe somewhere, or None.
-    rival: Floats | None = field(default=None)
+    rival: Floats | None = None  # error of another curve that fits nearly as well and leaves it somewhere
 
     def draws(self, random: np.random.Generator, n: int, places: NDArray[np.int64]) -> Floats:
         """Errors of the curve itself at some samples, as draws, shape (n, n_places), in um."""

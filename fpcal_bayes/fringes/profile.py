@@ -37,9 +37,8 @@ _NODES = 15
 class DisplacementProfile:
     """What is known of the coefficients of a sweep's profile, in um."""
 
-    #: mean, covariance: Shapes (DEGREE,) and (DEGREE, DEGREE).
-    mean: Floats
-    covariance: Floats
+    mean: Floats  # shape (DEGREE,)
+    covariance: Floats  # shape (DEGREE, DEGREE)
 
     @cached_property
     def modes(self) -> Floats:

@@ -57,9 +57,8 @@ class Recorded:
 
     label: str  # of the sweep
     samples: Samples  # laid along it
-    #: start, end: Of the joint that moves, in um or rad.
-    start: float
-    end: float
+    start: float  # of the joint that moves, in um or rad
+    end: float  # the same at its other end
     profile: DisplacementProfile  # what the cell's priors know of it
     wavelength: float  # in the air of the cavity, in um
     wavelength_share: float = 0.0  # its relative standard deviation

@@ -115,9 +115,8 @@ def _peaks(values: Floats, most: int = 24, least: float = 0.4) -> tuple[NDArray[
     """Places of the highest local maxima of a table, those above a share of the highest."""
     rows, columns = np.nonzero(values > least * values.max())
     # The first and the last row and column are neighbours of themselves.
-    row, column = (at[:, None] + np.arange(-1, 2) for at in (rows, columns))
-    row, column = np.clip(row, 0, len(values) - 1), np.clip(column, 0, values.shape[1] - 1)
-    is_peak = values[rows, columns] >= values[row[:, :, None], column[:, None]].max(axis=(1, 2))
+    squares = np.lib.stride_tricks.sliding_window_view(np.pad(values, 1, mode="edge"), (3, 3))
+    is_peak = values[rows, columns] >= squares[rows, columns].max(axis=(1, 2))
     rows, columns = rows[is_peak], columns[is_peak]
     order = np.argsort(-values[rows, columns])[:most]
     return rows[order], columns[order]

@@ -34,9 +34,8 @@ _VAGUE, _UNEXPLAINED = 0.4, 30.0
 class ScanReading:
     """What a wavelength scan says."""
 
-    #: length, sigma: Cavity length and its standard deviation, in um; NaN where the scan was refused.
-    length: float = np.nan
-    sigma: float = np.nan
+    length: float = np.nan  # of the cavity, in um; NaN where the scan was refused
+    sigma: float = np.nan  # its standard deviation, in um
     fringes: float = np.nan  # within the scan
     refused: str = ""  # why it gives no number; empty where it does
     doubt: str = ""  # why the number is not to be relied on; empty where it is

@@ -32,6 +32,7 @@ _PLACES = {
     "identify": "fit.identify",
     "in_short_order": "design.order",
     "independent_draws": "posterior.draws",
+    "kept_rows": "verification.verify",
     "knowledge_of_fit": "mechanics.known",
     "linear_task_sd": "tasks.error",
     "make_target": "posterior.draws",

@@ -154,8 +154,10 @@ class Sweeps:
 
     @property
     def names(self) -> list[str]:
-        """Labels for messages, with the beam that read the row where it is named."""
-        return [f"{label} ({beam})" if beam else label for label, beam in zip(self.label, self.beam, strict=True)]
+        """Labels for messages, with the session where there are several, and the beam where it is named."""
+        sessions = self.session if len(self.sessions) > 1 else np.full(len(self), "")
+        notes = [", ".join(filter(None, both)) for both in zip(sessions, self.beam, strict=True)]
+        return [f"{label} ({note})" if note else label for label, note in zip(self.label, notes, strict=True)]
 
     def approach_signs(self) -> Floats:
         """Stated directions of approach as -1, 0 (not stated), +1, shape (n, n_joints)."""
@@ -190,8 +192,8 @@ class Sweeps:
                 raise InputError(f"{self.file}: no session {each!r}: expected one of {', '.join(self.sessions)}")
             if names.count(each) > 1:
                 raise InputError(f"{self.file}: session {each!r} is named twice, expected each session once")
-        chosen = np.isin(self.session, names)
-        chosen = self if chosen.all() else self.take(chosen)
+        own = np.isin(self.session, names)
+        chosen = self if own.all() else self.take(own)
         _check_distinct(chosen)
         return chosen
 
@@ -259,7 +261,7 @@ def repeated_rows(sweeps: Sweeps) -> NDArray[np.bool_]:
     rows = np.ascontiguousarray(np.column_stack([sweeps.q_start, sweeps.q_end, sweeps.dl, beam])) + 0.0
     again = np.ones(len(sweeps), dtype=bool)
     again[np.unique(rows.view(f"V{8 * rows.shape[1]}"), return_index=True)[1]] = False
-    return again & (sweeps.kind == "sweep") & (sweeps.sigma < _COUNTED)
+    return np.asarray(again & (sweeps.kind == "sweep") & (sweeps.sigma < _COUNTED))
 
 
 def as_plan(sweeps: Sweeps, *, session: str, time_h: float, file: str = "plan") -> Sweeps:

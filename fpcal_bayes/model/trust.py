@@ -83,7 +83,7 @@ UNRECORDED = Reason(
 #: What is held against a result that leaves out mechanics which the cell states.
 MECHANICS_LEFT_OUT = Reason(
     "mechanics-left-out",
-    "the error motions that the cell states are left out: bands assume a perfect mechanism and are too narrow",
+    "the error motions that the cell states are left out of all bands; an estimate of fpcal identify has them",
 )
 
 

@@ -66,6 +66,8 @@ class Controller:
         accept_untrusted: bool = False,
         compensate: bool = True,
     ) -> None:
+        if not isinstance(estimate, Estimate):
+            raise InputError(f"Controller: estimate is of type {type(estimate).__name__}, expected Estimate")
         self._now_h, self._told, self._accept_untrusted = now_h, False, accept_untrusted
         self._compensate = compensate
         self._inverse = InverseModel(estimate.cell)

@@ -9,6 +9,7 @@ _PLACES = {
     "draw_plan": "plan_figures",
     "plain_table": "table",
     "save_figure": "pages",
+    "verification_lines": "verification",
     "write_campaign_report": "campaign.page",
 }
 

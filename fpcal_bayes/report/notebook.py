@@ -116,9 +116,8 @@ def _(result: Posterior) -> Shown:
 
     def draw() -> Figure:
         tree = arviz_tree(result)
-        names = [f"{parameter.name} [{parameter.unit}]" for parameter in free]
         of = {kind: [tree[kind][name].to_numpy().ravel() for name in free.names] for kind in ("posterior", "prior")}
-        return prior_posterior_figure(names, np.array(of["posterior"]).T, np.array(of["prior"]).T)
+        return prior_posterior_figure(free, np.array(of["posterior"]).T, np.array(of["prior"]).T)
 
     return Shown(posterior_table(found, free, repr(result)), columns, draw, result.trust)
 

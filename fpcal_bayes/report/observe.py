@@ -85,7 +85,10 @@ def percent(share: float) -> str:
 def gauge_sentence(gauge: Gauge) -> str:
     """Cause and remedy of one unseen direction."""
     none = "none, and none is needed: " if gauge.layer == "model" else ""
-    return f"{_capital(gauge.explanation)}. Remedy: {none}{gauge.remedy}."
+    told = gauge.explanation
+    # Names of parameters stay as they are.
+    capital = told[0] if "_" in told.split(maxsplit=1)[0] else told[0].upper()
+    return f"{capital}{told[1:]}. Remedy: {none}{gauge.remedy}."
 
 
 def gauge_direction(gauge: Gauge, result: Observability) -> str:
@@ -176,12 +179,6 @@ def bounds_table(result: Observability) -> Table:
 def shortened(names: Sequence[str], most: int) -> str:
     """Names in a row, the first `most` of them."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
-
-
-def _capital(sentence: str) -> str:
-    """The sentence with a capital, unless it begins with the name of a parameter."""
-    first = sentence.split(maxsplit=1)[0].rstrip(",")
-    return sentence if "_" in first else sentence[0].upper() + sentence[1:]
 
 
 def mechanics_sentences(result: Observability) -> list[str]:

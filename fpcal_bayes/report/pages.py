@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 
 from fpcal_bayes.core.files import replacing
 
@@ -37,21 +39,40 @@ def packaged(folder: str, name: str) -> str:
 
 
 @contextmanager
-def svg_figure(width: float, height: float) -> Iterator[tuple[Figure, list[str]]]:
-    """A figure of a size in inches to draw on; its SVG is in the list after the block."""
+def svg_figure(width: float, height: float, *, panels: bool = False) -> Iterator[tuple[Figure, list[str]]]:
+    """A figure of a size in inches to draw on; its SVG, or that of its panels, is in the list after the block."""
     svg: list[str] = []
     with matplotlib.rc_context(_SETTINGS):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure, svg
-        svg.append(svg_text(figure))
+        svg.append(svg_panels(figure) if panels else svg_text(figure))
 
 
-def svg_text(figure: Figure) -> str:
-    """The SVG element of a figure; the same figure gives the same text."""
+def svg_panels(figure: Figure) -> str:
+    """The legend and each panel of a figure as SVG elements of their own, which a narrow page sets in a column."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    parts, inches = [*figure.legends, *figure.axes], figure.dpi_scale_trans.inverted()
+    boxes = [np.array(inches.transform(part.get_tightbbox())) for part in parts]  # type: ignore[arg-type]
+    # All panels keep the same room around their axes, so that their letters have one size.
+    n = len(figure.legends)
+    inner = np.array([inches.transform(axis.bbox) for axis in figure.axes])
+    room = np.abs(boxes[n:] - inner).max(axis=0) + 0.02
+    boxes[n:] = inner + room * [[-1.0], [1.0]]
+    svg = ""
+    for part, box in zip(parts, boxes, strict=True):
+        for each in parts:
+            each.set_visible(each is part)
+        svg += svg_text(figure, Bbox(box)).replace("<svg", '<svg class="legend"' if part in parts[:n] else "<svg", 1)
+    return svg
+
+
+def svg_text(figure: Figure, box: Bbox | None = None) -> str:
+    """The SVG element of a figure, or of a box in it in inches; the same figure gives the same text."""
     buffer = io.StringIO()
     with matplotlib.rc_context(_SETTINGS):
         # The date would make two runs differ.
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
+        figure.savefig(buffer, format="svg", bbox_inches=box, metadata={"Date": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text, flags=re.DOTALL)

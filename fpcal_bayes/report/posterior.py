@@ -1,6 +1,6 @@
 """A posterior as a table, and a model comparison."""
 
-from fpcal_bayes.infer.posterior.compare import Comparison, ModelResult
+from fpcal_bayes.infer.posterior.compare import Comparison
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.report.table import Table, number, plain_table
 
@@ -23,19 +23,10 @@ def compare_table(comparison: Comparison, title: str) -> Table:
     for model in comparison.models:
         fit = model.identification.fit
         numbers = [f"{fit.chi2_data:.1f}", f"{fit.expected:.1f}", f"{fit.p_value:.1g}"]
-        table.add_row(model.spec.name, _fit_words(model), *numbers, *_predictions(model))
+        word = "poor" if model.poor else "good" if model.spec.likelihood == "gaussian" else "not judged"
+        told, loo = ["-"] * 5, model.loo
+        if loo is not None:
+            told = [number(loo.elpd, loo.se), number(loo.se, loo.se), f"{loo.p_loo:.1f}"]
+            told += [str(int(loo.bad.sum())), str(int(loo.refitted.sum()))]
+        table.add_row(model.spec.name, "no minimum" if model.state == "no minimum" else word, *numbers, *told)
     return table
-
-
-def _fit_words(model: ModelResult) -> str:
-    if model.state == "no minimum":
-        return "no minimum"
-    return "poor" if model.poor else "good" if model.spec.likelihood == "gaussian" else "not judged"
-
-
-def _predictions(model: ModelResult) -> list[str]:
-    loo = model.loo
-    if loo is None:
-        return ["-"] * 5
-    sizes = [number(loo.elpd, loo.se), number(loo.se, loo.se), f"{loo.p_loo:.1f}"]
-    return [*sizes, str(int(loo.bad.sum())), str(int(loo.refitted.sum()))]

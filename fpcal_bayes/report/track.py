@@ -73,7 +73,7 @@ def decision_sentence(decision: Decision, track: Track) -> str:
     cost = f"about {decision.minutes:.0f} min"
     full = f"full calibration now ({counted(count, 'sweep')}, {cost}): {decision.reason}"
     risk, hours = f"beyond the tolerance with more than {100 * decision.level:g} %", decision.then_hours
-    holds = f"good for {hours:.1f} h" if hours >= LEAST_HOURS else f"even then {risk}"
+    holds = f"good for {hours:.1f} h" if hours >= LEAST_HOURS else f"after these alone {risk}"
     after = f"expected error after: {1e3 * decision.after.median:.1f} nm, {holds}"
     if not track.trust.usable:
         return full

@@ -48,10 +48,7 @@ class Study(ABC):
 
     @abstractmethod
     def replicate(self, number: int) -> dict[str, Floats]:
-        """Replicate `number`, the first being 0; the same whenever, wherever and beside whatever it runs.
-
-        NaN stands where it gives nothing.
-        """
+        """Replicate `number`, from 0 on, the same wherever it runs; NaN stands where it gives nothing."""
 
     @abstractmethod
     def summary(self, results: Results) -> Summary:

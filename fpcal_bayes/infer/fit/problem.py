@@ -174,11 +174,11 @@ class Problem(Brief):
         return replace(part, log_scales=self.log_scales)
 
     def data_residuals(self, unknowns: Floats) -> Floats:
-        """Whitened prediction minus measurement, shape (n_rows,)."""
-        predicted = self.model.predict(self.values(unknowns), self.rows)
+        """Whitened prediction minus measurement, shape (n_rows,), or (n_points, n_rows) at many points."""
+        change = self.model.predict(self.values(unknowns), self.rows) - self.target
         if self.sensitivity is not None:
-            predicted = predicted + self.sensitivity @ unknowns[self.n_free :]
-        return self.whitening.apply(predicted - self.target)
+            change = change + unknowns[..., self.n_free :] @ self.sensitivity.T
+        return self.whitening.apply(change[..., None])[..., 0]
 
     def data_jacobian(self, unknowns: Floats) -> Floats:
         """Derivatives of `data_residuals` by the unknowns, shape (n_rows, n_unknowns)."""

@@ -100,6 +100,5 @@ def goodness_of_fit(problem: Problem, unknowns: Floats) -> GoodnessOfFit:
     shrink = linalg.svdvals(jacobian[: len(residuals)])[: problem.n_unknowns]
     weights = np.ones(max(len(residuals), len(shrink)))
     weights[: len(shrink)] = 1.0 / (1.0 + shrink**2)
-    weights = weights[: len(residuals)] if len(residuals) > len(shrink) else weights
     mean, square = float(weights.sum()), float((weights**2).sum())
     return GoodnessOfFit(chi2_data, mean, chi2_tail(chi2_data * mean / square, mean**2 / square), standardised)

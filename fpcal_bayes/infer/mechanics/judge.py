@@ -78,7 +78,7 @@ def doubts_of(fit: MechanicsFit) -> tuple[Reason, ...]:
         if lower > _ABSURD:
             found.append(Reason("poor-fit", f"poor fit: {text}; fpcal doctor tries what may be wrong"))
         elif lower > _BEYOND and (name != "return" or _white_beyond(fit)):
-            found.append(Reason("mechanics", text))
+            found.append(Reason("mechanics", f"{text}; fpcal doctor says what to do"))
     tests = term_tests(fit)
     found += [
         Reason(

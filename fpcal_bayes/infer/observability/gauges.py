@@ -109,7 +109,7 @@ def _describe(model: CavityModel, values: Floats, poses: Floats, direction: Floa
     remedy = {
         "model": "no sweep and no absolute length tells it; what the robot does with light does not depend on it",
         "absolute": "the absolute cavity length of one pose (a wavelength scan) shows it",
-        "sweeps": "other sweeps show it, for example a midpoint on each",
+        "sweeps": "other sweeps show it: a midpoint on each where there is none, or other poses",
     }[layer]
     return Gauge(names, tuple(float(x) for x in shown), layer, explanation, remedy)
 

@@ -72,7 +72,8 @@ class PosteriorTarget:
         if not len(self._folded):
             return self
         problem = self.problem
-        predicted = (self._whitened(reference[None])[0] / problem.whitening.scale + problem.target)[self._folded]
+        whitened = problem.data_residuals(reference[: problem.n_unknowns])
+        predicted = (whitened / problem.whitening.scale + problem.target)[self._folded]
         target = problem.target.copy()
         target[self._folded] = np.copysign(target[self._folded], predicted)
         other = copy.copy(self)
@@ -102,7 +103,7 @@ class PosteriorTarget:
     def standardised(self, points: Floats) -> Floats:
         """Whitened residuals at points (n_points, n_unknowns), shape (n_points, n_rows)."""
         self._count[0] += len(points)
-        return self._whitened(points)
+        return self.problem.data_residuals(points[:, : self.problem.n_unknowns])
 
     def log_density(self, residuals: Floats, points: Floats) -> Floats:
         """Unnormalised log density (n_points,) from residuals (n_points, n_rows) and points (n_points, n)."""
@@ -160,14 +161,6 @@ class PosteriorTarget:
         whitening = self.problem.whitening
         scale = whitening.scale if whitening.mix is None else whitening.mix.diagonal()
         return np.log(scale) + (_LOG_PEAK if self.dof is None else log_peak(self.dof))
-
-    def _whitened(self, points: Floats) -> Floats:
-        problem = self.problem
-        own = points[:, : problem.n_unknowns]
-        change = problem.model.predict(problem.values(own), problem.rows) - problem.target
-        if problem.sensitivity is not None:
-            change = change + own[:, problem.n_free :] @ problem.sensitivity.T
-        return problem.whitening.apply(change[:, :, None])[:, :, 0]
 
     def _widened(self, residuals: Floats) -> Floats:
         """Residuals as charts see them, those near zero about zero."""

@@ -1,7 +1,7 @@
 """What a controller may hold: an estimate file, or the draws of a posterior file."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,7 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.margin import N_DRAWS, estimate_draws, prior_draws
 from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.model.trust import MECHANICS_LEFT_OUT
 from fpcal_bayes.motion.compensation import compensated
 from fpcal_bayes.motion.tasks import Task, find_task
 
@@ -113,7 +114,9 @@ def read_knowledge(
     """Read an estimate JSON or its `text`, or posterior draws (``.nc``) with the estimate that a controller `held`."""
     estimate = None if held is None else read_estimate(held, cell)
     if Path(path).suffix.lower() == ".nc":
-        return Knowledge(cell, estimate, read_posterior(path, cell).thinned(_MOST_DRAWS))
+        draws = read_posterior(path, cell).thinned(_MOST_DRAWS)
+        trust = draws.trust if cell.mechanics is None else draws.trust.because(MECHANICS_LEFT_OUT)
+        return Knowledge(cell, estimate, replace(draws, trust=trust))
     if held is not None:
         raise InputError(f"{held}: an estimate to hold is taken beside posterior draws (.nc) only, not beside {path}")
     estimate = read_estimate(path, cell, text)

@@ -7,7 +7,6 @@ import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts
 from fpcal_bayes.analysis.history import SessionResiduals, TaskForecasts, session_log
-from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.report.campaign.words import shown_time
 from fpcal_bayes.report.table import Table, TableCell, figure_of, plain_table
 from fpcal_bayes.report.track import LEAST_HOURS
@@ -18,10 +17,13 @@ _MOST_ROWS = 5000
 
 def outlook_chart(facts: CampaignFacts, found: TaskForecasts) -> dict[str, Any]:
     """The error of the worst task through time, in nm."""
+    # A chart wants ties apart, here by a second.
+    seconds = np.arange(len(found.hours)) / 3600.0
+    hours = np.maximum.accumulate(found.hours - seconds) + seconds
     limit = np.full(len(found.hours), facts.goal.tolerance_um)
     series = {"median": found.median, "low": found.low, "high": found.high, "tolerance": limit}
     return {
-        "hours": _numbers(_increasing(found.hours), 9),
+        "hours": _numbers(hours, 9),
         "now": facts.now_h,
         "series": {name: _numbers(1e3 * values) for name, values in series.items()},
     }
@@ -31,14 +33,6 @@ def residual_chart(parts: list[SessionResiduals]) -> dict[str, Any]:
     """Residuals of the rows of all sessions, one after the other, with their names."""
     names = [f"{part.session}: {label}" for part in parts for label in part.labels][-_MOST_ROWS:]
     return {"names": names, "values": _numbers(np.concatenate([part.values for part in parts])[-_MOST_ROWS:])}
-
-
-def _increasing(hours: Floats) -> Floats:
-    """The times with ties apart by a second, as a chart wants them."""
-    apart = hours.copy()
-    for i in range(1, len(apart)):
-        apart[i] = max(apart[i], apart[i - 1] + 1.0 / 3600.0)
-    return apart
 
 
 def _numbers(values: Iterable[float], digits: int = 4) -> list[float | None]:

@@ -1,6 +1,5 @@
 """Figures of a campaign's report, as SVG text."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,10 +9,10 @@ from fpcal_bayes.analysis.campaign import CampaignFacts
 from fpcal_bayes.analysis.history import History, SessionResiduals, TaskForecasts
 from fpcal_bayes.analysis.motions import MotionCurve
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.posterior.netcdf import PosteriorSummary
-from fpcal_bayes.report.pages import BLUE, GREY, ORANGE, VERMILION, drawable, svg_figure, svg_text
+from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.report.pages import BLUE, GREY, ORANGE, VERMILION, drawable, svg_figure
 
-_MOST_SESSIONS, _MOST_LABELS, _MOST_MOTIONS = 6, 80, 12
+_MOST_MOTIONS = 12
 _HOURS_PER_DAY = 24.0
 #: Draws that a density is made of at most, evenly spaced ones of longer runs.
 _SHOWN_DRAWS = 1000
@@ -26,10 +25,10 @@ def task_figure(facts: CampaignFacts) -> str:
     n_rows = -(-len(drawn) // 3)
     if not drawn:
         return ""
-    with svg_figure(9.6, 0.6 + 2.3 * n_rows) as (figure, svg):
+    with svg_figure(9.6, 0.6 + 2.3 * n_rows, panels=True) as (figure, svg):
         axes = [figure.add_subplot(n_rows, 3, number) for number in range(1, len(drawn) + 1)]
         half = 1e3 * facts.goal.tolerance_um / 2
-        for i, (axis, outlook) in enumerate(zip(axes, drawn, strict=True)):
+        for axis, outlook in zip(axes, drawn, strict=True):
             found, prediction = outlook.numbers, outlook.prediction
             assert found is not None
             assert prediction is not None
@@ -37,16 +36,15 @@ def task_figure(facts: CampaignFacts) -> str:
             axis.fill_between(along, low, high, color=BLUE, alpha=0.25, linewidth=0, label="95 % band")
             errors = 1e3 * prediction.errors
             typical = errors[np.argsort(np.ptp(errors, axis=1))[len(errors) // 2]]
-            axis.plot(along, typical, color=BLUE, linewidth=0.9, label="one possible error, of median size")
-            label = f"tolerance, {2 * half:g} nm peak to peak"
+            axis.plot(along, typical, color=BLUE, linewidth=0.9, label="an error of median size")
+            label = f"tolerance, {2 * half:g} nm"
             axis.axhline(half, color=VERMILION, linestyle="--", linewidth=1, label=label)
             axis.axhline(-half, color=VERMILION, linestyle="--", linewidth=1)
             most = 1.15 * max(half, float(np.abs([low, high, typical]).max()))
             title = drawable(outlook.name) + (" (to be held)" if outlook.asked else "")
             axis.set_title(title, fontsize=9, parse_math=False)
             axis.set(ylim=(-most, most), xlabel=f"along the path [{found.task.unit}]")
-            if i % 3 == 0:
-                axis.set_ylabel("error of cavity length [nm]")
+            axis.set_ylabel("error [nm]")
             axis.grid(alpha=0.3)
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
     return svg[0]
@@ -76,19 +74,13 @@ def drift_figure(facts: CampaignFacts, found: History) -> str:
     assert facts.track is not None
     parameters = facts.track.drift.parameters
     chosen = [i for i, parameter in enumerate(parameters) if parameter.kind == "extrinsic"]
-    n_rows = -(-len(chosen) // 2)
-    with svg_figure(9.6, 0.7 + 2.0 * n_rows) as (figure, svg):
-        axes = figure.subplots(n_rows, 2, squeeze=False, sharex=True).ravel()
-        for axis in axes[len(chosen) :]:
-            axis.remove()
-        for axis, i in zip(axes, chosen, strict=False):
-            _draw_track(axis, facts, found, i)
-            axis.set_ylabel(f"{parameters[i].name} [{parameters[i].unit}]")
-        for axis in axes[max(0, len(chosen) - 2) : len(chosen)]:
-            axis.set_xlabel("time [days]")
-            axis.tick_params(labelbottom=True)
+    n_rows = -(-len(chosen) // 3)
+    with svg_figure(9.6, 0.7 + 2.2 * n_rows, panels=True) as (figure, svg):
         handles: dict[str, Any] = {}
-        for axis in axes[: len(chosen)]:
+        for number, i in enumerate(chosen, 1):
+            axis = figure.add_subplot(n_rows, 3, number)
+            _draw_track(axis, facts, found, i)
+            axis.set(xlabel="time [days]", ylabel=f"{parameters[i].name} [{parameters[i].unit}]")
             handles |= {text: handle for handle, text in zip(*axis.get_legend_handles_labels(), strict=True)}
         figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=4, frameon=False)
     return svg[0]
@@ -110,27 +102,21 @@ def _draw_track(axis: Any, facts: CampaignFacts, found: History, i: int) -> None
     axis.grid(alpha=0.3)
 
 
-def residual_figure(parts: list[SessionResiduals], alarmed: set[str]) -> str:
-    """Residuals of each row, a panel a session: the first, those with an alarm, and the latest."""
-    chosen = _chosen(parts, alarmed)
-    with svg_figure(9.6, 0.5 + 1.75 * len(chosen)) as (figure, svg):
-        axes = figure.subplots(len(chosen), 1, squeeze=False).ravel()
-        for axis, part in zip(axes, chosen, strict=True):
-            place, outside = np.arange(len(part.values)), np.abs(part.values) > 3
-            axis.axhspan(-2, 2, color=BLUE, alpha=0.12, linewidth=0)
-            axis.axhline(0, color=GREY, linewidth=0.8)
-            axis.plot(place[~outside], part.values[~outside], "o", color="black", markersize=3)
-            axis.plot(place[outside], part.values[outside], "D", color=VERMILION, markersize=4)
-            most = 1.15 * max(3.2, np.abs(part.values).max())
-            axis.set(xlim=(-1, len(place)), ylim=(-most, most))
-            axis.set_ylabel(f"{drawable(part.session)}\n[sigma]", parse_math=False)
-            axis.grid(axis="y", alpha=0.3)
-            axis.tick_params(labelbottom=False)
-        labels = [drawable(label) for label in chosen[-1].labels]
-        if len(labels) <= _MOST_LABELS:
-            axes[-1].set_xticks(np.arange(len(labels)), labels, rotation=90, fontsize=6.5, parse_math=False)
-        axes[-1].tick_params(labelbottom=True)
-        axes[-1].set_xlabel("sweep, in the order of the file")
+def residual_figure(parts: list[SessionResiduals]) -> str:
+    """Residuals of the rows of all sessions in order, with a line between two sessions."""
+    values = np.concatenate([part.values for part in parts])
+    place, outside = np.arange(1, len(values) + 1), np.abs(values) > 3
+    with svg_figure(9.6, 2.8) as (figure, svg):
+        axis = figure.subplots()
+        axis.axhspan(-2, 2, color=BLUE, alpha=0.12, linewidth=0)
+        axis.plot(place[~outside], values[~outside], "o", color="black", markersize=2.5)
+        axis.plot(place[outside], values[outside], "D", color=VERMILION, markersize=4)
+        for end in np.cumsum([len(part.values) for part in parts])[:-1]:
+            axis.axvline(end + 0.5, color=GREY, linewidth=0.6)
+        most = 1.15 * max(3.2, np.abs(values).max())
+        axis.set(xlim=(0, len(values) + 1), ylim=(-most, most))
+        axis.set(xlabel="row, all sessions in order", ylabel="residual / sigma")
+        axis.grid(axis="y", alpha=0.3)
     return svg[0]
 
 
@@ -140,7 +126,7 @@ def motion_figure(curves: list[MotionCurve]) -> str:
     if not drawn:
         return ""
     n_rows = -(-len(drawn) // 3)
-    with svg_figure(9.6, 0.4 + 2.1 * n_rows) as (figure, svg):
+    with svg_figure(9.6, 0.4 + 2.1 * n_rows, panels=True) as (figure, svg):
         for number, curve in enumerate(drawn, 1):
             axis = figure.add_subplot(n_rows, 3, number)
             axis.fill_between(curve.along, curve.low, curve.high, color=BLUE, alpha=0.25, linewidth=0)
@@ -155,20 +141,13 @@ def motion_figure(curves: list[MotionCurve]) -> str:
     return svg[0]
 
 
-def _chosen(parts: list[SessionResiduals], alarmed: set[str]) -> list[SessionResiduals]:
-    if len(parts) <= _MOST_SESSIONS:
-        return parts
-    wanted = [0, *(i for i, part in enumerate(parts) if part.session in alarmed)][: _MOST_SESSIONS - 2]
-    wanted += [len(parts) - 2, len(parts) - 1]
-    return [parts[i] for i in sorted(set(wanted))]
-
-
-def prior_posterior_figure(names: Sequence[str], draws: Floats, before: Floats) -> Figure:
-    """Densities of draws and of prior draws `before`, (n, n_names), over what the draws cover."""
+def prior_posterior_figure(parameters: ParameterSet, draws: Floats, before: Floats) -> Figure:
+    """Densities of draws and of prior draws `before`, (.., n_parameters), over what the draws cover."""
     # ArviZ takes seconds to import: only figures pay for it.
     from arviz_stats.base import array_stats
 
-    rows = -(-len(names) // _N_COLUMNS)
+    names = [f"{parameter.name} [{parameter.unit}]" for parameter in parameters]
+    draws, before, rows = draws.reshape(-1, len(names)), before.reshape(-1, len(names)), -(-len(names) // _N_COLUMNS)
     figure = Figure(figsize=(11.0, 0.5 + 1.9 * rows), layout="constrained")
     axes = figure.subplots(rows, _N_COLUMNS, squeeze=False).ravel()
     for axis, name, own, prior in zip(axes, names, draws.T, before.T, strict=False):
@@ -184,9 +163,3 @@ def prior_posterior_figure(names: Sequence[str], draws: Floats, before: Floats) 
     figure.supylabel("density", fontsize="medium")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False)
     return figure
-
-
-def posterior_figure(found: PosteriorSummary) -> str:
-    """Densities of prior and draws of each parameter."""
-    names = [f"{parameter.name} [{parameter.unit}]" for parameter in found.parameters]
-    return svg_text(prior_posterior_figure(names, found.draws.reshape(-1, len(names)), found.prior))

@@ -18,7 +18,7 @@ from fpcal_bayes.report import observe_figures
 from fpcal_bayes.report.campaign import charts as data
 from fpcal_bayes.report.campaign import figures, words
 from fpcal_bayes.report.campaign.charts import log_table
-from fpcal_bayes.report.pages import ENVIRONMENT, packaged
+from fpcal_bayes.report.pages import ENVIRONMENT, packaged, svg_panels
 from fpcal_bayes.report.posterior import posterior_table
 from fpcal_bayes.report.tasks import budget_table, freedom_table, not_evaluated_line
 from fpcal_bayes.report.track import sweep_table
@@ -78,21 +78,22 @@ def write_campaign_report(
 
 def campaign_html(facts: CampaignFacts) -> str:
     """The page as text."""
-    seen, drawn_from = facts.observability, facts.posterior
+    seen, drawn = facts.observability, facts.posterior
     track, outlook, rows = history(facts), outlooks(facts), residuals(facts)
     since = since_calibration(facts)
     at = words.shown_time(facts.now_h, facts)
-    alarmed = {session for session, _, _ in track.alarms} if track is not None else set()
-    drawn = {
+    pictures = {
         "tasks": figures.task_figure(facts),
         "outlook": "" if outlook is None else figures.outlook_figure(facts, outlook),
         "drift": "" if track is None else figures.drift_figure(facts, track),
         "spectrum": observe_figures.spectrum_figure(seen),
         "contraction": observe_figures.contraction_figure(seen),
         "correlation": observe_figures.correlation_figure(seen),
-        "residuals": figures.residual_figure(rows, alarmed),
+        "residuals": figures.residual_figure(rows),
         "motions": figures.motion_figure(motion_curves(facts.calibration.estimate)),
-        "posterior": "" if drawn_from is None else figures.posterior_figure(drawn_from),
+        "posterior": ""
+        if drawn is None
+        else svg_panels(figures.prior_posterior_figure(drawn.parameters, drawn.draws, drawn.prior)),
     }
     charts = {
         "outlook": None if outlook is None else data.outlook_chart(facts, outlook),
@@ -123,8 +124,7 @@ def campaign_html(facts: CampaignFacts) -> str:
         headline=observe_words.headline(seen),
         gauges=[(observe_words.gauge_sentence(g), observe_words.gauge_direction(g, seen)) for g in seen.gauges],
         blocks=observe_words.block_table(seen),
-        posterior=drawn_from
-        and posterior_table(summarise(drawn_from), drawn_from.parameters, "Posterior of the calibration"),
+        posterior=drawn and posterior_table(summarise(drawn), drawn.parameters, "Posterior of the calibration"),
         posterior_sentence=words.posterior_sentence(facts),
         verification=None if facts.verification is None else power_table(facts.verification, "Power by task"),
         verified=verification_sentences(facts.verification, facts.file),
@@ -136,7 +136,7 @@ def campaign_html(facts: CampaignFacts) -> str:
         mechanics_sentence=words.mechanics_sentence(facts.calibration.estimate),
         provenance=words.provenance(facts),
         # Drawn here, and their texts escaped by the SVG writer.
-        figures={name: Markup(svg) for name, svg in drawn.items()},
+        figures={name: Markup(svg) for name, svg in pictures.items()},
         **_next_sweeps(facts),
     )
 

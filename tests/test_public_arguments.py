@@ -1,0 +1,51 @@
+"""What users call from outside refuses objects of another kind in one sentence."""
+
+import inspect
+
+import numpy as np
+import pytest
+
+import fpcal_bayes as fp
+from fpcal_bayes.core.errors import InputError
+
+CELL = fp.load_cell(mechanics="none")
+FUNCTIONS = sorted(name for name in fp.__all__ if inspect.isfunction(getattr(fp, name)))
+
+
+def asked(name: str) -> dict[str, str]:
+    """Arguments for which a function asks an object of the package."""
+    parameters = inspect.signature(getattr(fp, name)).parameters
+    found = {each: parameters[each].annotation for each in parameters}
+    return {each: str(kind) for each, kind in found.items() if "<class 'fpcal_bayes." in str(kind)}
+
+
+def test_there_are_functions_to_try():
+    assert {"predict_from_covariance", "identify", "decide_track", "write_sweeps"} <= set(FUNCTIONS)
+    assert asked("predict_from_covariance").keys() == {"estimate", "task"}
+
+
+@pytest.mark.parametrize(
+    "value", [np.zeros(3), None, "nothing.csv", float("nan"), [], {}], ids=lambda v: type(v).__name__
+)
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_another_object_is_refused_by_name(name, value):
+    parameters = inspect.signature(getattr(fp, name)).parameters.values()
+    needed = [each.name for each in parameters if each.default is each.empty]
+    for wrong in asked(name):
+        # What is not at fault is told apart by its order: the first argument that is of another kind is named.
+        given = dict.fromkeys(needed, CELL) | {wrong: value}
+        with pytest.raises(InputError, match=rf"{name}: \w+ is of type \w+, expected [A-Z]\w+$"):
+            getattr(fp, name)(**given)
+
+
+def test_the_name_and_the_kinds_are_said(femto):
+    sweeps = fp.simulate(femto, fp.paper_truth(femto), fp.paper_protocol(femto), sigma_nm=5.0, seed=0)
+    estimate = fp.identify(femto, sweeps).estimate
+    with pytest.raises(InputError, match=r"^predict_from_covariance: task is of type ndarray, expected Task$"):
+        fp.predict_from_covariance(estimate, np.zeros((3, 6)))
+    with pytest.raises(InputError, match=r"^identify: prior is of type ndarray, expected Estimate$"):
+        fp.identify(femto, fp.paper_protocol(femto), prior=np.zeros(21))
+    with pytest.raises(TypeError, match="missing"):
+        fp.identify(femto)
+    with pytest.raises(InputError, match=r"^Controller: estimate is of type ndarray, expected Estimate$"):
+        fp.Controller(np.zeros(21))

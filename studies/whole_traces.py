@@ -8,13 +8,14 @@ errors of one calibration go together, so that its 21 squares are worth about ei
 
     python studies/whole_traces.py [--replicates 10] [--only "69, whole traces"] [--log FILE]
     python studies/whole_traces.py --fast --replicates 2000
-    python studies/whole_traces.py --mechanics [--fast] --only "69, whole traces" --replicates 200
+    python studies/whole_traces.py --mechanics [--fast [--drawn]] --only "69, whole traces" --replicates 200
 
 `--fast` reads the same light of the 69 sweeps in an eighth of the time: no scans, no search and no counts of fringes;
 each trace is fitted from its true course on, with the nuisances and the noise of the product, and the parameters from
 their true values on. It agrees with the whole way to a few hundredths of a standard deviation. With
 `--mechanics` traces are read at their middle and end, the way of each mirror searched for, which takes 20 s a truth;
-`--fast` then takes such readings as they are, with the noise that they state.
+`--fast` then takes such readings as they are, with the noise that they state. The machines have the sizes that the cell
+states; with `--drawn` sizes and noise are drawn as the fit expects them, a factor of three about what is stated.
 """
 
 import argparse
@@ -50,9 +51,12 @@ from fpcal_bayes.infer import (
     predict_from_covariance,
     task_jacobian,
 )
+from fpcal_bayes.infer.mechanics.scales import LOG_SD, LOG_SD_NOISE
 from fpcal_bayes.io import load_cell
 from fpcal_bayes.measure import Sweeps, TraceIndex, Truth, join, paper_protocol, paper_truth
 from fpcal_bayes.model import CavityModel, Cell, Estimate, fringe
+from fpcal_bayes.model.cell.error_motions import TERMS, Mechanics
+from fpcal_bayes.model.mechanics.terms import group_of
 from fpcal_bayes.motion import task_path
 from fpcal_bayes.simulator import Machine, RecorderSettings, record_sweeps, simulate_um
 
@@ -149,20 +153,37 @@ def task_errors(estimate: Estimate, truth: Truth) -> list[tuple[float, float]]:
     return found
 
 
-def machine_errors(estimate: Estimate, truth: Truth, seed: int) -> list[tuple[float, float]]:
+def drawn(cell: Cell, seed: int) -> tuple[Cell, float]:
+    """A cell whose machine is as large as the prior of the fit's scales has it, and the factor on its noise."""
+    rng, stated = np.random.default_rng([seed, 17]), cell.mechanics
+    assert stated is not None
+    kinds = (("linearity",), TERMS["straightness"] + TERMS["runout"], TERMS["tilts"])
+    shared = {name: rng.standard_normal() for name in ("reversal", "return_sd", "encoder", "drift")}
+    groups = {group_of(cell, i): rng.standard_normal(len(kinds)) for i in range(len(cell.joints))}
+    joints = []
+    for i, joint in enumerate(stated.joints):
+        scores = {name: z for z, names in zip(groups[group_of(cell, i)], kinds, strict=True) for name in names}
+        sizes = {name: getattr(joint, name) for name in scores | shared if name != "drift"}
+        made = {n: size * np.exp(LOG_SD * (scores | shared)[n]) for n, size in sizes.items() if size is not None}
+        joints.append(replace(joint, **made))
+    drift = stated.drift_nm_per_min * np.exp(LOG_SD * shared["drift"])
+    machine = replace(stated, joints=tuple(joints), drift_nm_per_min=float(drift))
+    return replace(cell, mechanics=machine), float(np.exp(LOG_SD_NOISE * rng.standard_normal()))
+
+
+def machine_errors(estimate: Estimate, truth: Truth, seed: int, sizes: Mechanics) -> list[tuple[float, float]]:
     """The same on the machine that a recording with this seed is of, against draws of what the estimate expects."""
     cell, found = estimate.cell, []
-    assert cell.mechanics is not None
     vector = cell.parameters.nominal.copy()
     vector[truth.parameters.slots] = truth.values[0]
-    machine = Machine.draw(cell, cell.mechanics, vector, np.random.default_rng([seed, 5]))
+    machine = Machine.draw(cell, sizes, vector, np.random.default_rng([seed, 5]))
     model = CavityModel.of(cell, estimate.parameters)
     for name in TASKS:
         task = task_path(cell, estimate.vector(), name, n_points=PATH_POINTS)
         rows = model.rows(np.repeat(task.start[None], len(task), axis=0), task.q)
         error = machine.path(task.start, task.q, 0.0) - model.predict(estimate.values, rows)
-        drawn = predict_from_covariance(estimate, task, draws=1000, seed=seed).errors
-        mean, sd = drawn.mean(axis=0), drawn.std(axis=0)
+        ahead = predict_from_covariance(estimate, task, draws=1000, seed=seed).errors
+        mean, sd = ahead.mean(axis=0), ahead.std(axis=0)
         worst = int(np.argmax(sd))
         found.append((1e3 * float(sd[worst]), float((error - mean)[worst] / sd[worst])))
     return found
@@ -185,6 +206,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--fast", action="store_true", help="read the 69 whole traces from their truth on")
     parser.add_argument("--mechanics", action="store_true", help="machines with the error motions that the cell states")
+    parser.add_argument("--drawn", action="store_true", help="sizes and noise of the machines drawn about the stated")
     parser.add_argument("--only", metavar="CASE", default="", help="cases whose name ends so")
     parser.add_argument("--log", type=Path, help="file that gets a line of JSON for each truth")
     options = parser.parse_args()
@@ -199,6 +221,11 @@ def main() -> None:
 
     def from_rows(protocol: Sweeps, sigma: float) -> Callable[[Truth, int], Estimate]:
         return lambda truth, seed: identify(cell, simulate_um(cell, truth, protocol, sigma=sigma, seed=seed)).estimate
+
+    def read(truth: Truth, seed: int) -> Estimate:
+        machine, noise = drawn(cell, seed) if options.drawn else (cell, 1.0)
+        rows = simulate_um(machine, truth, middle, sigma=READ * noise, seed=seed)
+        return identify(cell, rows.with_measurement(rows.dl, np.full(len(rows), READ))).estimate
 
     def from_traces(protocol: Callable[[], Sweeps]) -> Callable[[Truth, int], Estimate]:
         def made(truth: Truth, seed: int) -> Estimate:
@@ -215,7 +242,7 @@ def main() -> None:
         "12 planned, whole traces": from_traces(cache(lambda: plan(cell, 12, readings=0))),
     }
     if options.fast and options.mechanics:
-        cases = {"69, middles and ends as traces tell them": from_rows(middle, READ)}
+        cases = {"69, middles and ends as traces tell them": read}
     elif options.fast:
         cases = {"69, whole traces, from the truth": FromTruth(cell, ends).estimate}
     for name, make in cases.items():
@@ -223,13 +250,18 @@ def main() -> None:
             continue
         began, squares, zets, tasks = time.process_time(), [], [], []
         for seed in range(options.seed, options.seed + options.replicates):
-            drawn = cell.free.nominal + sds * np.random.default_rng(seed).standard_normal(len(sds))
-            truth = replace(paper, times_h=np.zeros(1), values=drawn[None])
+            values = cell.free.nominal + sds * np.random.default_rng(seed).standard_normal(len(sds))
+            truth = replace(paper, times_h=np.zeros(1), values=values[None])
             estimate = make(truth, seed)
-            scores, along = (estimate.values - drawn) / estimate.sd, None
+            scores, along = (estimate.values - values) / estimate.sd, None
             # A truth of which some task leaves the joints' limits counts for its parameters only.
             with contextlib.suppress(InputError):
-                along = machine_errors(estimate, truth, seed) if options.mechanics else task_errors(estimate, truth)
+                if options.mechanics:
+                    sizes = (drawn(cell, seed)[0] if options.drawn else cell).mechanics
+                    assert sizes is not None
+                    along = machine_errors(estimate, truth, seed, sizes)
+                else:
+                    along = task_errors(estimate, truth)
             if options.log:
                 said = [reason.kind for reason in estimate.trust.reasons]
                 line = {"case": name, "seed": seed, "scores": scores.tolist(), "tasks": along, "trust": said}

@@ -1,6 +1,7 @@
 """What users call from outside refuses objects of another kind in one sentence."""
 
 import inspect
+import pickle
 
 import numpy as np
 import pytest
@@ -49,3 +50,8 @@ def test_the_name_and_the_kinds_are_said(femto):
         fp.identify(femto)
     with pytest.raises(InputError, match=r"^Controller: estimate is of type ndarray, expected Estimate$"):
         fp.Controller(np.zeros(21))
+
+
+def test_functions_go_to_other_processes():
+    for name in FUNCTIONS:
+        assert pickle.loads(pickle.dumps(getattr(fp, name))) is getattr(fp, name)

@@ -18,7 +18,9 @@ def lazy(package: str, places: Mapping[str, str]) -> tuple[list[str], Callable[[
         if name not in places:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         found = getattr(import_module(f"{package}.{places[name]}"), name)
-        found = _checked(found) if "." not in package and isfunction(found) else found
+        if "." not in package and isfunction(found):
+            found = _checked(found)
+            found.__module__ = package  # where it is found when it is sent to another process
         setattr(sys.modules[package], name, found)
         return found
 

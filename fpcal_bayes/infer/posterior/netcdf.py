@@ -284,8 +284,8 @@ def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
 def write_netcdf(tree: Any, path: Path) -> None:
     """Write a DataTree as netCDF, whole or not at all."""
     # Made in memory: on a full disk the library fails while it closes the file, where nothing catches it.
-    content = tree.to_netcdf(engine="h5netcdf")
-    with replacing(path) as temporary:
+    # The buffer is let go at once: one that an error's frame keeps can crash Python's garbage collection (3.12.1).
+    with tree.to_netcdf(engine="h5netcdf") as content, replacing(path) as temporary:
         temporary.write_bytes(content)
 
 

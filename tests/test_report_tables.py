@@ -134,7 +134,7 @@ def test_one_content_in_a_terminal_and_on_a_page():
     assert lines[3] == ["<one>", "1.23e+03", "2", "good"]
     assert lines[4] == ["sum", "[nm]"]
     page = ENVIRONMENT.get_template("macros.html").module.table(table)
-    assert "<caption>a [title]</caption>" in page
+    assert "<caption><span>a [title]</span></caption>" in page
     assert '<th scope="col" class="text">name</th><th scope="col">size [nm]</th>' in page
     assert '<td class="text">&lt;one&gt;</td><td class="" data-sort="1234.5">1.23e+03</td>' in page
     assert '<td class=" good">good</td>' in page

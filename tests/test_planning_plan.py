@@ -9,6 +9,7 @@ from task_fixtures import paper_estimate
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.candidates import candidate_sweeps
 from fpcal_bayes.infer.design.exchange import choose_sweeps
+from fpcal_bayes.infer.design.order import duration
 from fpcal_bayes.infer.design.plan import Planner, PlanSettings
 from fpcal_bayes.infer.design.problem import Ground, estimate_ground, goals_of, prior_ground, shortfalls
 from fpcal_bayes.infer.design.rows import sweep_rows
@@ -16,6 +17,7 @@ from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.tasks.error import linear_task_sd, task_errors, task_jacobian
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol, read_often
+from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
@@ -79,6 +81,19 @@ def test_fewest_is_enough_and_says_what_cannot_be(ground: Ground) -> None:
     assert found.sd["circle"][-1] <= 0.05
     with pytest.raises(InputError, match=r"no plan of up to 3 sweeps reaches the target; the best has circle .* nm"):
         Planner(ground, SMALL, {"circle": 1e-6}).fewest(most=3)
+
+
+def test_a_plan_within_a_time_gives_up_its_least_useful_sweeps(cell: Cell, planner: Planner) -> None:
+    def minutes(sweeps: Sweeps) -> float:
+        return duration(cell, planner.in_order(sweeps), SMALL.readings, SMALL.limits) / 60.0
+
+    whole = planner.best(6)
+    limit = 0.98 * minutes(whole.sweeps)
+    fitting = max((k for k in range(1, 6) if minutes(whole.first(k).sweeps) <= limit), default=0)
+    found = planner.within(60.0 * limit, most=6)
+    assert minutes(found.sweeps) <= limit
+    assert fitting <= len(found) < 6
+    assert {task: len(sd) for task, sd in found.sd.items()} == dict.fromkeys(whole.sd, len(found) + 1)
 
 
 def test_expected_sd_is_what_simulated_calibrations_have(cell: Cell) -> None:

@@ -63,6 +63,11 @@ class ChosenSweeps:
     def __len__(self) -> int:
         return len(self.indices)
 
+    def first(self, n: int) -> "ChosenSweeps":
+        """The `n` most useful of them."""
+        sds = {task: sd[: n + 1] for task, sd in self.sd.items()}
+        return ChosenSweeps(self.indices[:n], self.sweeps.take(np.arange(n)), sds)
+
 
 def choose_sweeps(
     candidates: Sweeps,

@@ -217,19 +217,25 @@ class Planner:
 
     def within(self, seconds: float, most: int = 69) -> ChosenSweeps:
         """As many sweeps, up to `most`, as take no longer than `seconds` in their order; `InputError` if none does."""
+
+        def spent(sweeps: Sweeps) -> float:
+            ordered = self.in_order(sweeps)
+            return duration(self.ground.cell, ordered, self.settings.readings, self.settings.limits)
+
         n, fits, too_many = min(most, _FIRST), 0, most + 1
         best = None
         while too_many - fits > 1:
             found = self.best(n)
-            spent = duration(
-                self.ground.cell, self.in_order(found.sweeps), self.settings.readings, self.settings.limits
-            )
-            if spent <= seconds:
-                best, fits = found, n
-            else:
+            needed = spent(found.sweeps)
+            if needed > seconds:
                 too_many = n
+                # Plans of nearly as many may take longer still: the least useful sweeps give way first.
+                while len(found) > fits and spent(found.sweeps) > seconds:
+                    found = found.first(len(found) - 1)
+            if len(found) > fits:
+                best, fits = found, len(found)
             # Time is nearly proportional to the number.
-            n = int(np.clip(int(n * seconds / spent), fits + 1, too_many - 1))
+            n = int(np.clip(int(n * seconds / needed), fits + 1, too_many - 1))
         if best is None:
             raise InputError(f"{seconds / 60.0:g} min: not even one sweep takes as little")
         return best

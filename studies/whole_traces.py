@@ -43,6 +43,8 @@ from fpcal_bayes.fringes import (
     rows_along,
 )
 from fpcal_bayes.infer import (
+    LOG_SD,
+    LOG_SD_NOISE,
     PATH_POINTS,
     Problem,
     identify,
@@ -51,12 +53,9 @@ from fpcal_bayes.infer import (
     predict_from_covariance,
     task_jacobian,
 )
-from fpcal_bayes.infer.mechanics.scales import LOG_SD, LOG_SD_NOISE
 from fpcal_bayes.io import load_cell
 from fpcal_bayes.measure import Sweeps, TraceIndex, Truth, join, paper_protocol, paper_truth
-from fpcal_bayes.model import CavityModel, Cell, Estimate, fringe
-from fpcal_bayes.model.cell.error_motions import TERMS, Mechanics
-from fpcal_bayes.model.mechanics.terms import group_of
+from fpcal_bayes.model import TERMS, CavityModel, Cell, Estimate, Mechanics, fringe, group_of
 from fpcal_bayes.motion import task_path
 from fpcal_bayes.simulator import Machine, RecorderSettings, record_sweeps, simulate_um
 

@@ -14,10 +14,12 @@ _PLACES = {
     "LINK_SLOTS": "parameters",
     "Mechanics": "cell.error_motions",
     "Rows": "cavity",
+    "TERMS": "cell.error_motions",
     "Terms": "mechanics.terms",
     "UNITS": "parameters",
     "design": "mechanics.design",
     "fringe": "interferometer",
+    "group_of": "mechanics.terms",
     "make_parameters": "cell.cell",
 }
 

@@ -105,10 +105,8 @@ class FromTruth:
             passed = np.abs(np.diff(swept)) * per_um / (2.0 * np.pi)
             if passed.sum() < FEWEST_FRINGES:
                 continue
-            one, joint = (
-                self.protocol.take(np.array([i])),
-                int(np.argmax(self.protocol.q_start[i] != self.protocol.q_end[i])),
-            )
+            one = self.protocol.take(np.array([i]))
+            joint = int(np.argmax(one.q_start[0] != one.q_end[0]))
             ends = float(one.q_start[0, joint]), float(one.q_end[0, joint])
             samples = lay_out(index.traces[i], *ends, unit="", scale=1.0, place=str(one.label[0]))
             samples = samples.binned(max(FEWEST_BINS, int(np.ceil(128.0 * BINS * passed.max()))))

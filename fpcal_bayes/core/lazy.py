@@ -29,14 +29,18 @@ def lazy(package: str, places: Mapping[str, str]) -> tuple[list[str], Callable[[
 
 def _checked(function: Callable[..., Any]) -> Callable[..., Any]:
     """The function, which refuses what is none of this package's objects that it asks for, in one sentence."""
-    kinds = {name: parameter.annotation for name, parameter in signature(function).parameters.items()}
+    parameters = signature(function).parameters
+    kinds = {
+        name: each.annotation
+        for name, each in parameters.items()
+        if isinstance(each.annotation, type | UnionType) and "fpcal_bayes." in str(each.annotation)
+    }
 
     @wraps(function)
     def call(*given: Any, **named: Any) -> Any:
-        for name, value in (*zip(kinds, given, strict=False), *named.items()):
-            kind = kinds.get(name)
-            if isinstance(kind, type | UnionType) and "fpcal_bayes." in str(kind) and not isinstance(value, kind):
-                wanted = (get_args(kind) or (kind,))[0].__name__
+        for name, value in (*zip(parameters, given, strict=False), *named.items()):
+            if name in kinds and not isinstance(value, kinds[name]):
+                wanted = (get_args(kinds[name]) or (kinds[name],))[0].__name__
                 raise InputError(f"{function.__name__}: {name} is of type {type(value).__name__}, expected {wanted}")
         return function(*given, **named)
 

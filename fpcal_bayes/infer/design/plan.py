@@ -226,13 +226,14 @@ class Planner:
         best = None
         while too_many - fits > 1:
             found = self.best(n)
-            needed = spent(found.sweeps)
+            needed = left = spent(found.sweeps)
             if needed > seconds:
                 too_many = n
-                # Plans of nearly as many may take longer still: the least useful sweeps give way first.
-                while len(found) > fits and spent(found.sweeps) > seconds:
-                    found = found.first(len(found) - 1)
-            if len(found) > fits:
+            # Plans of nearly as many may take longer still: the least useful sweeps give way first.
+            while left > seconds and len(found) > fits + 1:
+                found = found.first(len(found) - 1)
+                left = spent(found.sweeps)
+            if left <= seconds:
                 best, fits = found, len(found)
             # Time is nearly proportional to the number.
             n = int(np.clip(int(n * seconds / needed), fits + 1, too_many - 1))

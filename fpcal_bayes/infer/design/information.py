@@ -122,15 +122,33 @@ class Design:
         """Task variances, um^2, if each candidate `among` all joined, (n, n_tasks): of `worst` points or means."""
         rows = self.rows if among is None else self.rows[:, among]
         n_draws, n_candidates, k, n = rows.shape
-        left, starts = np.zeros((n_candidates, len(self.names))), self.task_start
+        left, one = np.zeros((n_candidates, len(self.names))), np.tile(np.eye(k), (n_candidates, 1, 1))
         added = self.rows[:, list(chosen)].reshape(n_draws, -1, n)
-        factors = np.linalg.cholesky(self.information + added.transpose(0, 2, 1) @ added)
-        for draw, root in enumerate(np.linalg.inv(factors).transpose(0, 2, 1)):
-            points = self.tasks[draw] @ root
-            scaled = rows[draw].reshape(-1, n) @ root
-            products = (scaled @ points.T).reshape(n_candidates, k, -1)
-            add_left(scaled.reshape(n_candidates, k, n), products, (points**2).sum(axis=1), starts, worst, left)
+        few = self.base is None and added.shape[1] < _FEW * n
+        information = added @ added.transpose(0, 2, 1) if few else added.transpose(0, 2, 1) @ added
+        information += np.eye(added.shape[1]) if few else self.information
+        roots = np.linalg.inv(np.linalg.cholesky(information))
+        for draw, root in enumerate((roots @ added if few else roots).transpose(0, 2, 1)):
+            points, scaled = self.tasks[draw] @ root, rows[draw].reshape(-1, n) @ root
+            products, variances = (scaled @ points.T).reshape(n_candidates, k, -1), (points**2).sum(axis=1)
+            noise, sign = one, 1.0
+            if few:
+                # What few rows tell comes off what is unknown before them (Woodbury).
+                alone, noise, before = (part[draw] for part in self._alone)
+                chosen_too = slice(None) if among is None else among
+                products, noise, variances = alone[chosen_too] - products, noise[chosen_too], before - variances
+                sign = -1.0
+            seen = scaled.reshape(n_candidates, k, -1)
+            add_left(noise, seen, sign, products, variances, self.task_start, worst, left)
         return np.asarray(left / n_draws)
+
+    @cached_property
+    def _alone(self) -> tuple[Floats, Floats, Floats]:
+        """Of candidates before any other: rows times tasks, the covariance of rows, and the variances of tasks."""
+        n_draws, n_candidates, k, n = self.rows.shape
+        products = self.rows.reshape(n_draws, -1, n) @ self.tasks.transpose(0, 2, 1)
+        noise = np.eye(k) + self.rows @ self.rows.transpose(0, 1, 3, 2)
+        return products.reshape(n_draws, n_candidates, k, -1), noise, (self.tasks**2).sum(axis=-1)
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,20 @@ from fpcal_bayes.model.kernels.compile import compiled
 
 
 @compiled
-def add_left(rows: Floats, products: Floats, variances: Floats, task_start: Ints, worst: bool, left: Floats) -> None:
+def add_left(
+    noise: Floats,
+    rows: Floats,
+    sign: float,
+    products: Floats,
+    variances: Floats,
+    task_start: Ints,
+    worst: bool,
+    left: Floats,
+) -> None:
     """Add up, over the draws, the task variances that each candidate would leave, in `left` (n_candidates, n_tasks).
 
-    rows, products: in units of the present uncertainty (n_candidates, k, n), and times derivatives of the tasks
-    (n_candidates, k, n_points); overwritten. variances: present ones of the points, shape (n_points,).
+    noise, rows, sign: of each candidate S = noise + sign rows rows', shapes (n_candidates, k, k) and (.., k, n).
+    products: W V', shape (n_candidates, k, n_points); overwritten. variances: present ones, shape (n_points,).
     task_start: where the points of each task start, and where the last ends, shape (n_tasks + 1,).
     worst: take the worst point of a task, else the mean over its points.
     """
@@ -29,9 +38,10 @@ def add_left(rows: Floats, products: Floats, variances: Floats, task_start: Ints
         value[:] = variances
         for i in range(k):
             for j in range(i + 1):
-                total = 1.0 if i == j else 0.0
+                total = 0.0
                 for m in range(n):
                     total += rows[c, i, m] * rows[c, j, m]
+                total = noise[c, i, j] + sign * total
                 for m in range(j):
                     total -= factor[i, m] * factor[j, m]
                 factor[i, j] = math.sqrt(total) if i == j else total / factor[j, j]

@@ -20,6 +20,7 @@ from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.infer.design.candidates import SweepLimits
 from fpcal_bayes.infer.design.commission import commission_plan
+from fpcal_bayes.infer.design.exchange import ChosenSweeps
 from fpcal_bayes.infer.design.order import duration
 from fpcal_bayes.infer.design.plan import Planner, PlanSettings, Point
 from fpcal_bayes.infer.design.problem import (
@@ -98,13 +99,16 @@ def _plan(
     if targets:
         chosen = planner.fewest(most=most, check=check)
     else:
-        chosen = planner.best(most) if options.minutes is None else planner.within(60.0 * options.minutes, most)
-    # Named by their usefulness and the joints that move.
-    moves = chosen.sweeps.q_start != chosen.sweeps.q_end
-    moved = ("".join(f"q{i}" for i, m in enumerate(row, 1) if m) for row in moves)
-    names = [f"p{number:02d}-{joints}" for number, joints in enumerate(moved, 1)]
-    chosen = replace(chosen, sweeps=replace(chosen.sweeps, label=np.array(names, dtype=np.str_)))
+        in_time = options.minutes is not None
+        chosen = planner.within(60.0 * options.minutes, most, check) if in_time else planner.best(most, check)
+    chosen, plain = _named(chosen), None
     ordered = planner.in_order(chosen.sweeps, options.output)
+    if settings.several:
+        single = _named(planner.single(len(chosen)))
+        plain = planner.in_order(single.sweeps)
+        left = [planner.excess(check.expected_sd(plan, readings=readings, sigma=sigma)) for plan in (ordered, plain)]
+        if left[1] < left[0] and duration(cell, plain, readings, settings.limits) <= 60.0 * (options.minutes or np.inf):
+            chosen, ordered = single, plain
 
     expected = {
         "before": check.expected_sd(None),
@@ -117,9 +121,7 @@ def _plan(
             f"{len(ordered)} sweeps that reach the targets take {seconds['plan'] / 60.0:.3g} min, expected at most "
             f"{options.minutes:g}"
         )
-    if settings.several:
-        single = planner.short(False, bar.part("single joints"))
-        plain = single.in_order(single.best(len(ordered)).sweeps)
+    if plain is not None:
         expected["single joints"] = check.expected_sd(plain, readings=readings, sigma=sigma)
         seconds["single joints"] = duration(cell, plain, readings, settings.limits)
     if papers is not None:
@@ -161,9 +163,19 @@ def _plan(
     if frontier is not None:
         knee = f"knee of the frontier: {frontier.points[frontier.knee].sweeps} sweeps"
         parts.append(f"{knee}, farthest from the straight line between its ends in logarithms")
+    if settings.several and not (np.count_nonzero(chosen.sweeps.q_start != chosen.sweeps.q_end, axis=1) > 1).any():
+        parts.append("no joints move together: one at a time leaves less")
     parts.append("time: " + ", ".join(f"{name} {value / 60.0:.1f} min" for name, value in seconds.items()))
     show(options, parts, warnings)
     return 0
+
+
+def _named(chosen: ChosenSweeps) -> ChosenSweeps:
+    """The sweeps named by their usefulness and the joints that move."""
+    moves = chosen.sweeps.q_start != chosen.sweeps.q_end
+    moved = ("".join(f"q{i}" for i, m in enumerate(row, 1) if m) for row in moves)
+    names = [f"p{number:02d}-{joints}" for number, joints in enumerate(moved, 1)]
+    return replace(chosen, sweeps=replace(chosen.sweeps, label=np.array(names, dtype=np.str_)))
 
 
 def _stop(options: argparse.Namespace, cell: Cell, check: Ground, trust: Trust) -> int:

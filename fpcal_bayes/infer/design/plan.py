@@ -91,6 +91,7 @@ class Planner:
         tell: Callable[[float], None] = lambda _: None,
     ) -> None:
         self.ground, self.tell = ground, tell
+        self._singles: dict[int, ChosenSweeps] = {}
         settings = PlanSettings() if settings is None else settings
         self.settings = settings = replace(settings, limits=settings.limits.within_envelope(ground.model, ground.draws))
         self._tolerances = tolerances
@@ -120,29 +121,47 @@ class Planner:
         design = (ground or self.ground).driven(sweeps, readings=self.settings.readings, sigma=self.settings.sigma)
         return Criterion(design, self.reference).value(())
 
-    def best(self, n: int) -> ChosenSweeps:
-        """The best n sweeps that are found: plans on few draws each, the best of them and all on more, then on all."""
+    def best(self, n: int, check: Ground | None = None) -> ChosenSweeps:
+        """The best n sweeps that are found: plans on few draws each, the best of them and all on more, then on all.
+
+        Where joints may move together the plan of `single` joints is given if it leaves less on `check`.
+        """
         settings, n_draws = self.settings, len(self.ground.goals.values)
         if not 1 <= n <= len(self.candidates):
             raise InputError(
                 f"{n} sweeps out of {len(self.candidates)} candidates: expected 1 to {len(self.candidates)}"
             )
-        tries = settings.starts + settings.crossings * bool(settings.iterations)
+        tries, alone = settings.starts + settings.crossings * bool(settings.iterations), sum(_SHORT) * settings.several
         # In descents of `_STARTED` steps on `share` draws.
-        work = np.cumsum([0.0, tries, 1.0 * _WIDER, settings.iterations / _STARTED * n_draws / settings.share])
+        work = np.cumsum([alone, tries, 1.0 * _WIDER, settings.iterations / _STARTED * n_draws / settings.share])
 
         def begun(stage: int, share: float) -> None:
             self.tell(float(work[stage] + share * (work[stage + 1] - work[stage])) / float(work[-1]))
 
+        single = self.single(n, lambda share: self.tell(share * alone / float(work[-1]))) if settings.several else None
         found: list[Sweeps] = []
         for number in range(tries):
             ground = self._part(number, settings.share)
             begin = self._crossed(n, found, ground) if number >= settings.starts else self._start(n, number)
             found.append(self._descended(begin, ground, _STARTED))
             begun(0, (number + 1) / tries)
-        best = self._joined(found, self._part(0, _WIDER * settings.share))
+        best = self._joined(
+            found if single is None else [*found, single.sweeps], self._part(0, _WIDER * settings.share)
+        )
         begun(1, 1.0)
-        return self.refined(best, lambda share: begun(2, share))
+        refined = self.refined(best, lambda share: begun(2, share))
+        return refined if single is None else min((single, refined), key=lambda plan: self._left(plan, check))
+
+    def single(self, n: int, tell: Callable[[float], None] = lambda _: None) -> ChosenSweeps:
+        """The best n sweeps of single joints that a short search finds; searched once."""
+        if n not in self._singles:
+            self._singles[n] = self.short(False, tell).best(n)
+        return self._singles[n]
+
+    def _left(self, plan: ChosenSweeps, check: Ground | None) -> float:
+        """The worst task over what it is judged by, on `check` or where the plan is made."""
+        design = self.judge(plan.sweeps, check).design
+        return self.excess(dict(zip(design.names, np.sqrt(design.expected_variance(range(len(plan)))), strict=True)))
 
     def _start(self, n: int, number: int) -> Sweeps:
         """The best of a part of the candidates: one by one, then each again beside the others."""
@@ -163,13 +182,12 @@ class Planner:
         return sweeps.take(np.array(exchange(judge, greedy(judge, n), passes=_PASSES)))
 
     def _joined(self, found: list[Sweeps], ground: Ground) -> Sweeps:
-        """The best plan among the sweeps of all: beginning from the best, and from none."""
+        """The best plan with each of its sweeps exchanged for one of all plans."""
         n = len(found[0])
         best = int(np.argmin([self.judge(plan, ground).value(range(n)) for plan in found]))
         every = join(found, "joined")
-        judge = self.judge(every, ground)
-        begun = tuple(range(n * best, n * (best + 1))), greedy(judge, n)
-        return every.take(np.array(min((exchange(judge, start, passes=_PASSES) for start in begun), key=judge.value)))
+        begun = tuple(range(n * best, n * (best + 1)))
+        return every.take(np.array(exchange(self.judge(every, ground), begun, passes=_PASSES)))
 
     def _part(self, number: int, share: int) -> Ground:
         """The ground averaged over the draws of one start: neighbours in a quasi-random sequence fill the space."""
@@ -215,7 +233,7 @@ class Planner:
         require_within_envelope(self.ground.model, self.ground.draws, ordered.q_start, ordered.q_end, file=file)
         return ordered
 
-    def within(self, seconds: float, most: int = 69) -> ChosenSweeps:
+    def within(self, seconds: float, most: int = 69, check: Ground | None = None) -> ChosenSweeps:
         """As many sweeps, up to `most`, as take no longer than `seconds` in their order; `InputError` if none does."""
 
         def spent(sweeps: Sweeps) -> float:
@@ -225,7 +243,7 @@ class Planner:
         n, fits, too_many = min(most, _FIRST), 0, most + 1
         best = None
         while too_many - fits > 1:
-            found = self.best(n)
+            found = self.best(n, check)
             needed = left = spent(found.sweeps)
             if needed > seconds:
                 too_many = n
@@ -251,7 +269,7 @@ class Planner:
         settings, short, points = self.settings, self.short(self.settings.several), []
         numbers = [n for n in _NUMBERS if n < most] + [most]
         for done, n in enumerate(numbers):
-            plan = short.in_order(short.best(n).sweeps)
+            plan = short.in_order(short.best(n, check).sweeps)
             sd = check.expected_sd(plan, readings=settings.readings, sigma=settings.sigma)
             points.append(Point(n, duration(self.ground.cell, plan, settings.readings, settings.limits), sd))
             tell((done + 1) / len(numbers))
@@ -283,13 +301,13 @@ class Planner:
                 break
         best = self.refined(self.candidates.take(np.array(chosen)))
         if not enough(best.sweeps):
-            best = self.best(len(chosen))
+            best = self.best(len(chosen), check)
         if not enough(best.sweeps):
             raise self._unreached(len(chosen), check.expected_sd(best.sweeps, readings=readings, sigma=sigma))
         too_few, high = 0, len(chosen)
         while high - too_few > 1:
             middle = (too_few + high) // 2
-            plan = self.best(middle)
+            plan = self.best(middle, check)
             if enough(plan.sweeps):
                 best, high = plan, middle
             else:

@@ -58,6 +58,8 @@ Levels = dict[str, dict[str, float]]
 Found = dict[str, dict[int, dict[str, float]]]
 #: Points of each path.
 _POINTS = 31
+#: Errors drawn by linear theory at each truth; share of them that is kept; how rare those are that stand out.
+_DRAWN, _KEPT, _RARE = 1000, 0.95, 0.002
 #: Sets of truths drawn from those simulated, to tell how far chance alone moves a ratio.
 _SETS = 1000
 
@@ -153,6 +155,43 @@ def show_simulated(name: str, ours: ByTask, theirs: ByTask) -> None:
     show(f"{name}, {good.sum()} truths", a, b)
 
 
+def expected_largest(ground: Ground, plan: Sweeps, readings: int) -> ByTask:
+    """Largest error along each task by linear theory: draws of it at each truth, shape (n_truths, n_draws), in um."""
+    design = ground.driven(plan, readings=readings, sigma=SIGMA)
+    z = np.random.default_rng(0).standard_normal((design.n_parameters, _DRAWN))
+    found: dict[str, list[np.ndarray]] = {name: [] for name in design.names}
+    for jacobian, root in zip(design.tasks, design.roots(()), strict=True):
+        errors = np.abs(jacobian @ root @ z)
+        for task, name in enumerate(design.names):
+            found[name].append(errors[design.task_of_point == task].max(axis=0))
+    return {name: np.array(each) for name, each in found.items()}
+
+
+def show_beside_theory(name: str, ours: ByTask, theory: ByTask, good: np.ndarray) -> None:
+    """Simulated errors over those of linear theory at the same truths, those of `good`, task by task.
+
+    The ratio of root mean squares with its standard error by drawing the truths anew, of these without the largest
+    twentieth on either side, and of medians; and the truths whose error exceeds nearly all that theory draws there.
+    """
+    for task in theory:
+        errors, drawn = ours[task][good], theory[task][good]
+        picked = np.random.default_rng(0).integers(len(errors), size=(_SETS, len(errors)))
+        squares, expected = errors**2, (drawn**2).mean(axis=1)
+        spread = np.sqrt(squares[picked].mean(axis=1) / expected[picked].mean(axis=1)).std()
+        some, all_some = (np.sort(each.ravel())[: round(_KEPT * each.size)] for each in (errors, drawn))
+        trimmed, median = np.sqrt((some**2).mean() / (all_some**2).mean()), np.median(errors) / np.median(drawn)
+        ratio = np.sqrt(squares.mean() / expected.mean())
+        far = np.flatnonzero((drawn >= errors[:, None]).mean(axis=1) < _RARE)
+        named = ", ".join(
+            f"{np.flatnonzero(good)[i]} ({1e3 * errors[i]:.3g} for {1e3 * np.sqrt(expected[i]):.3g} nm)" for i in far
+        )
+        print(
+            f"{name}, {good.sum()} truths, {task}: rms {ratio:.2f} +- {spread:.2f}, trimmed {trimmed:.2f}, median "
+            f"{median:.2f} of linear theory; beyond it: {named or 'none'}",
+            flush=True,
+        )
+
+
 def ways_of(cell: Cell, grounds: Grounds, options: argparse.Namespace) -> dict[str, Callable[[int], Sweeps]]:
     """How n sweeps are chosen, by name."""
     limits, paper = limits_of(options), paper_protocol(cell)
@@ -214,6 +253,10 @@ def accuracy(options: argparse.Namespace) -> None:
             if options.simulate and name == "best":
                 ours = simulated(cell, grounds, read_often(plan, options.readings), options.noises)
                 show_simulated(f"{n} {name}, simulated", ours, theirs)
+                good = np.isfinite([ours[task] + theirs[task] for task in theirs]).all(axis=0)
+                sides = {"paper": (theirs, paper, often), f"{n} {name}": (ours, plan, options.readings)}
+                for side, (errors, sweeps, readings) in sides.items():
+                    show_beside_theory(side, errors, expected_largest(grounds.judged, sweeps, readings), good)
     if options.adaptive:
         for n in options.numbers:
             sd, reference = adaptive(cell, grounds, n, options)

@@ -34,8 +34,8 @@ _PARENTS, _SHORT = 4, (4, 1)
 _TURNED_DRAWS, _TURNED_GAIN = 4, 0.005
 #: Numbers of sweeps on the frontier.
 _NUMBERS = (4, 6, 8, 10, 12, 14, 16, 20, 24, 30)
-#: Sweeps of the first plan when time is given.
-_FIRST = 12
+#: Most readings of a sweep; sweeps of the first plan when time is given.
+_MOST_READINGS, _FIRST = 100, 12
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,12 @@ class PlanSettings:
     several: bool = False  # also move several joints of one controller at once
     seed: int = 0
     limits: SweepLimits = field(default_factory=SweepLimits)  # the planner holds them to the cell's envelope
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.readings <= _MOST_READINGS:
+            raise InputError(f"{self.readings} readings of a sweep: expected 0, the whole trace, to {_MOST_READINGS}")
+        if not 0 < self.sigma < np.inf:
+            raise InputError(f"standard deviation {1e3 * self.sigma:g} nm of a reading: expected a number above zero")
 
 
 @dataclass(frozen=True)

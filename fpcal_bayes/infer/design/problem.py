@@ -67,6 +67,7 @@ def goals_of(
     path that can, so that every draw has as many. `InputError` if a task is unknown, or there is no draw at which all
     of them can be driven to.
     """
+    tasks = tuple(dict.fromkeys(tasks))
     if not tasks:
         raise InputError("no task to plan for: expected one at least")
     radius = default_radius(model.cell) if radius is None else radius
@@ -232,6 +233,8 @@ def prior_ground(
 ) -> Ground:
     """A cell before its first calibration: averaged over `draws` of its prior (Sobol 1967), or `values`."""
     model, free = CavityModel.of(cell), cell.free
+    if draws < 1:
+        raise InputError(f"{draws} draws of what is known: expected one at least")
     if values is None:
         engine = qmc.MultivariateNormalQMC(np.zeros(len(free)), seed=np.random.default_rng(seed))
         with warnings.catch_warnings():

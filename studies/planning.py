@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from mechanics_coverage import handed_on, reachable
+from mechanics_coverage import reachable
 
 from fpcal_bayes import InputError
 from fpcal_bayes.core import write_json
@@ -29,12 +29,9 @@ from fpcal_bayes.infer import (
     Ground,
     Planner,
     PlanSettings,
-    Problem,
     SweepLimits,
     candidate_sweeps,
-    doubts_of,
     estimate_ground,
-    fit_mechanics,
     identify,
     in_short_order,
     measured_ground,
@@ -58,6 +55,10 @@ Levels = dict[str, dict[str, float]]
 Found = dict[str, dict[int, dict[str, float]]]
 #: Points of each path.
 _POINTS = 31
+#: Errors drawn by linear theory at each truth; share of them that is kept; how rare those are that stand out.
+_DRAWN, _KEPT, _RARE = 1000, 0.95, 0.002
+#: Standard deviations beyond which an error is none that its estimate tells.
+_UNTOLD = 3.0
 #: Sets of truths drawn from those simulated, to tell how far chance alone moves a ratio.
 _SETS = 1000
 
@@ -153,6 +154,43 @@ def show_simulated(name: str, ours: ByTask, theirs: ByTask) -> None:
     show(f"{name}, {good.sum()} truths", a, b)
 
 
+def expected_largest(ground: Ground, plan: Sweeps, readings: int) -> ByTask:
+    """Largest error along each task by linear theory: draws of it at each truth, shape (n_truths, n_draws), in um."""
+    design = ground.driven(plan, readings=readings, sigma=SIGMA)
+    z = np.random.default_rng(0).standard_normal((design.n_parameters, _DRAWN))
+    found: dict[str, list[np.ndarray]] = {name: [] for name in design.names}
+    for jacobian, root in zip(design.tasks, design.roots(()), strict=True):
+        errors = np.abs(jacobian @ root @ z)
+        for task, name in enumerate(design.names):
+            found[name].append(errors[design.task_of_point == task].max(axis=0))
+    return {name: np.array(each) for name, each in found.items()}
+
+
+def show_beside_theory(name: str, ours: ByTask, theory: ByTask, good: np.ndarray) -> None:
+    """Simulated errors over those of linear theory at the same truths, those of `good`, task by task.
+
+    The ratio of root mean squares with its standard error by drawing the truths anew, of these without the largest
+    twentieth on either side, and of medians; and the truths whose error exceeds nearly all that theory draws there.
+    """
+    for task in theory:
+        errors, drawn = ours[task][good], theory[task][good]
+        picked = np.random.default_rng(0).integers(len(errors), size=(_SETS, len(errors)))
+        squares, expected = errors**2, (drawn**2).mean(axis=1)
+        spread = np.sqrt(squares[picked].mean(axis=1) / expected[picked].mean(axis=1)).std()
+        some, all_some = (np.sort(each.ravel())[: round(_KEPT * each.size)] for each in (errors, drawn))
+        trimmed, median = np.sqrt((some**2).mean() / (all_some**2).mean()), np.median(errors) / np.median(drawn)
+        ratio = np.sqrt(squares.mean() / expected.mean())
+        far = np.flatnonzero((drawn >= errors[:, None]).mean(axis=1) < _RARE)
+        named = ", ".join(
+            f"{np.flatnonzero(good)[i]} ({1e3 * errors[i]:.3g} for {1e3 * np.sqrt(expected[i]):.3g} nm)" for i in far
+        )
+        print(
+            f"{name}, {good.sum()} truths, {task}: rms {ratio:.2f} +- {spread:.2f}, trimmed {trimmed:.2f}, median "
+            f"{median:.2f} of linear theory; beyond it: {named or 'none'}",
+            flush=True,
+        )
+
+
 def ways_of(cell: Cell, grounds: Grounds, options: argparse.Namespace) -> dict[str, Callable[[int], Sweeps]]:
     """How n sweeps are chosen, by name."""
     limits, paper = limits_of(options), paper_protocol(cell)
@@ -214,6 +252,10 @@ def accuracy(options: argparse.Namespace) -> None:
             if options.simulate and name == "best":
                 ours = simulated(cell, grounds, read_often(plan, options.readings), options.noises)
                 show_simulated(f"{n} {name}, simulated", ours, theirs)
+                good = np.isfinite([ours[task] + theirs[task] for task in theirs]).all(axis=0)
+                sides = {"paper": (theirs, paper, often), f"{n} {name}": (ours, plan, options.readings)}
+                for side, (errors, sweeps, readings) in sides.items():
+                    show_beside_theory(side, errors, expected_largest(grounds.judged, sweeps, readings), good)
     if options.adaptive:
         for n in options.numbers:
             sd, reference = adaptive(cell, grounds, n, options)
@@ -325,8 +367,9 @@ def extrinsic(options: argparse.Namespace) -> None:
 def machine(options: argparse.Namespace) -> None:
     """Simulated machines of the cell's sizes, calibrated with plans and with the paper's sweeps with midpoints.
 
-    The error left is that along each task less what the fit knows of it: root mean square over the truths of the worst
-    point, and what linear theory expects.
+    The error left is that along each task less what the estimate knows of it, at the points that can be driven to: root
+    mean square over the truths of the worst point, and what linear theory expects. What an estimate leaves unknown its
+    own sd says: truths are counted at which an error is beyond a multiple of the largest sd along its path.
     """
     cell, model = load_cell(), CavityModel.of(load_cell())
     assert cell.mechanics is not None
@@ -340,7 +383,7 @@ def machine(options: argparse.Namespace) -> None:
         expected = ground.expected_sd(plan, readings=2)
         print(f"{name:20} expected " + "  ".join(f"{t} {1e3 * sd:6.2f} nm" for t, sd in expected.items()), flush=True)
     left: dict[str, dict[str, list[float]]] = {name: {task: [] for task in options.tasks} for name in plans}
-    doubtful = dict.fromkeys(plans, 0)
+    doubtful, untold = dict.fromkeys(plans, 0), dict.fromkeys(plans, 0)
     for number in range(options.truths):
         vector = reachable(cell, np.random.default_rng([options.seed, number]))
         noise = MachineSettings(student=3.0, slow_nm=4.0)
@@ -348,22 +391,27 @@ def machine(options: argparse.Namespace) -> None:
         for name, plan in plans.items():
             rows = read_often(plan, 2)
             drive = drive_of_sweeps(rows, cell.mechanics.minutes_per_sweep)
-            measured = rows.with_measurement(drawn.sweep(drive, SIGMA), SIGMA)
-            fit = fit_mechanics(Problem.of(model, measured), cell.mechanics)
-            doubtful[name] += bool(doubts_of(fit))
+            estimate = identify(cell, rows.with_measurement(drawn.sweep(drive, SIGMA), SIGMA)).estimate
+            doubtful[name] += not estimate.trust.usable
+            beyond = False
             for task_name in options.tasks:
                 try:
-                    task = task_path(cell, model.vector(fit.values), task_name, n_points=PATH_POINTS)
+                    # Beyond a joint's limit, where no controller drives, error motions have no size.
+                    task = task_path(cell, estimate.vector(), task_name, n_points=PATH_POINTS).driven()
                 except InputError:
                     continue
                 ends = model.rows(np.repeat(task.start[None], len(task), axis=0), task.q)
-                error = drawn.path(task.start, task.q, float(drive.end_min.max())) - model.predict(fit.values, ends)
-                estimate = handed_on(fit, cell)
-                known = predict_from_covariance(estimate, replace(task, cell=estimate.cell)).errors.mean(axis=0)
-                left[name][task_name].append(float(np.abs(error - known).max()))
+                driven = drawn.path(task.start, task.q, float(drive.end_min.max()))
+                error = driven - model.predict(estimate.values, ends)
+                known = predict_from_covariance(estimate, replace(task, cell=estimate.cell)).errors
+                largest = float(np.abs(error - known.mean(axis=0)).max())
+                left[name][task_name].append(largest)
+                beyond |= largest > _UNTOLD * float(known.std(axis=0).max())
+            untold[name] += beyond
         for name, errors in left.items():
             parts = [f"{t} {rms(e):6.2f} nm (median {1e3 * np.median(e):6.2f})" for t, e in errors.items() if e]
-            print(f"{name:20} {number + 1:4} truths, {doubtful[name]} doubtful " + "  ".join(parts), flush=True)
+            counts = f"{number + 1:4} truths, {doubtful[name]} doubtful, {untold[name]} beyond {_UNTOLD:g} sd"
+            print(f"{name:20} {counts} " + "  ".join(parts), flush=True)
 
 
 def rms(errors: list[float]) -> float:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from task_fixtures import paper_estimate
 
+import fpcal_bayes as fp
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.candidates import candidate_sweeps
-from fpcal_bayes.infer.design.exchange import choose_sweeps
+from fpcal_bayes.infer.design.exchange import choose_sweeps, reference_of
 from fpcal_bayes.infer.design.order import duration
 from fpcal_bayes.infer.design.plan import Planner, PlanSettings
 from fpcal_bayes.infer.design.problem import Ground, estimate_ground, goals_of, prior_ground, shortfalls
@@ -75,6 +76,20 @@ def test_better_than_random_and_than_greedy(cell: Cell, ground: Ground, planner:
     np.testing.assert_array_equal(found.sweeps.q_start, again.sweeps.q_start)
 
 
+@pytest.mark.parametrize("n", [3, 6])
+def test_no_worse_than_single_joints(ground: Ground, planner: Planner, n: int) -> None:
+    """Where joints may move together the plan of single joints is a candidate, on the draws that count."""
+    check = ground.at_draws(np.arange(4))
+    single, found = planner.single(n), planner.best(n, check)
+    assert (np.count_nonzero(single.sweeps.q_start != single.sweeps.q_end, axis=1) == 1).all()
+    assert planner.excess(check.expected_sd(found.sweeps)) <= planner.excess(check.expected_sd(single.sweeps))
+    # A search that finds nothing good when joints move together gives the other plan.
+    lame = Planner(ground, replace(SMALL, iterations=0, starts=1), {"circle": 0.05})
+    lame._singles[n] = single
+    given = lame.best(n, check)
+    assert lame.excess(check.expected_sd(given.sweeps)) <= lame.excess(check.expected_sd(single.sweeps))
+
+
 def test_fewest_is_enough_and_says_what_cannot_be(ground: Ground) -> None:
     planner = Planner(ground, SMALL, {"circle": 0.05})
     found = planner.fewest(most=20)
@@ -121,11 +136,11 @@ def test_choice_with_a_covariance_in_other_units(cell: Cell, ground: Ground) -> 
     sweeps = candidate_sweeps(cell, n=60, rng=np.random.default_rng(0))
     rows, scale = sweep_rows(ground.model, ground.goals.values[:1], sweeps), cell.free.prior_sd
     tasks = {name: jacobian[:1] for name, jacobian in ground.goals.jacobians.items()}
-    first = choose_sweeps(sweeps, rows, tasks, 3, covariance=np.diag(scale**2))
-    again = choose_sweeps(sweeps, rows * scale, {name: jacobian * scale for name, jacobian in tasks.items()}, 3)
-    assert first.indices == again.indices
-    np.testing.assert_allclose(first.sd["circle"], again.sd["circle"], rtol=1e-6)
-    np.testing.assert_array_equal(first.sweeps.q_end, sweeps.q_end[list(first.indices)])
+    first = choose_sweeps(rows, tasks, 3, np.diag(scale**2))
+    again = choose_sweeps(
+        rows * scale, {name: jacobian * scale for name, jacobian in tasks.items()}, 3, np.eye(len(scale))
+    )
+    assert first == again
 
 
 def test_what_few_sweeps_leave_undetermined(cell: Cell, ground: Ground) -> None:
@@ -135,18 +150,39 @@ def test_what_few_sweeps_leave_undetermined(cell: Cell, ground: Ground) -> None:
     assert shortfalls(ground, paper_protocol(cell)) == []
 
 
+def test_numbers_of_numpy(cell: Cell) -> None:
+    """A small integer of numpy plans as Python's own, and a task that is named twice counts once."""
+    one, other = fp.plan(cell, np.int8(2), draws=np.int64(2), seed=np.uint8(1)), fp.plan(cell, 2, draws=2, seed=1)
+    np.testing.assert_array_equal(one.q_end, other.q_end)
+    assert len(fp.plan(cell, 1, draws=2, tasks=("circle", "circle"))) == 1
+
+
 def test_bad_arguments(cell: Cell, ground: Ground, planner: Planner) -> None:
     sweeps = candidate_sweeps(cell, n=5, rng=np.random.default_rng(0))
     rows, tasks = sweep_rows(ground.model, ground.goals.values, sweeps), ground.goals.jacobians
     with pytest.raises(InputError, match="6 sweeps out of 5 candidates"):
-        choose_sweeps(sweeps, rows, tasks, 6)
+        choose_sweeps(rows, tasks, 6, np.eye(rows.shape[-1]))
     with pytest.raises(InputError, match="no task to plan for"):
-        choose_sweeps(sweeps, rows, {}, 1)
+        goals_of(ground.model, ground.goals.values, [])
     with pytest.raises(InputError, match="tolerance of an unknown task 'square'"):
-        choose_sweeps(sweeps, rows, tasks, 1, tolerances={"square": 1.0})
+        reference_of(tuple(tasks), {"square": 1.0})
     with pytest.raises(InputError, match="expected numbers above zero"):
-        choose_sweeps(sweeps, rows, tasks, 1, tolerances={"circle": 0.0})
+        reference_of(tuple(tasks), {"circle": 0.0})
     with pytest.raises(InputError, match="0 sweeps out of 150"):
         planner.best(0)
+    for n in (2.0, True, "4", None, float("nan"), [3]):
+        with pytest.raises(InputError, match=r"plan: n is of type \w+, expected a whole number"):
+            fp.plan(cell, n)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="-1 readings of a sweep"):
+        fp.plan(cell, 2, readings=-1)
+    for sigma in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(InputError, match="nm of a reading: expected a number above zero"):
+            fp.plan(cell, 2, sigma_nm=sigma)
+    with pytest.raises(InputError, match="-1 draws of what is known: expected one at least"):
+        fp.plan(cell, 2, draws=-1)
+    with pytest.raises(InputError, match="plan: seed -1: expected zero or more"):
+        fp.plan(cell, 2, seed=-1)
+    with pytest.raises(InputError, match="plan: tasks is of type str, expected a list of names"):
+        fp.plan(cell, 2, tasks="circle")
     with pytest.raises(InputError, match="unknown task 'square'"):
         goals_of(ground.model, ground.goals.values, ["square"])

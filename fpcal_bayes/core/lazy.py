@@ -1,10 +1,11 @@
 """Names that a room loads from its modules when they are first used, so that the room costs nothing to import."""
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import wraps
 from importlib import import_module
 from inspect import isfunction, signature
+from numbers import Integral, Real
 from types import UnionType
 from typing import Any, get_args
 
@@ -27,21 +28,41 @@ def lazy(package: str, places: Mapping[str, str]) -> tuple[list[str], Callable[[
     return sorted(places), load, lambda: sorted(places)
 
 
+#: Kinds of arguments that are none of this package's objects, in words.
+_PLAIN: dict[Any, str] = {int: "a whole number", float: "a number", Sequence[str]: "a list of names"}
+
+
 def _checked(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, which refuses what is none of this package's objects that it asks for, in one sentence."""
-    parameters = signature(function).parameters
-    kinds = {
-        name: each.annotation
-        for name, each in parameters.items()
-        if isinstance(each.annotation, type | UnionType) and "fpcal_bayes." in str(each.annotation)
-    }
+    """The function, which refuses in one sentence what is none of the objects, numbers and names that it asks for."""
+    parameters, wanted = signature(function).parameters, {}
+    for name, each in parameters.items():
+        kinds = get_args(each.annotation) if isinstance(each.annotation, UnionType) else (each.annotation,)
+        if kinds[0] in _PLAIN or "fpcal_bayes." in str(each.annotation):
+            wanted[name] = kinds
+
+    def read(name: str, value: Any) -> Any:
+        kinds = wanted.get(name, (object,))
+        if not any(_fits(value, kind) for kind in kinds):
+            expected = _PLAIN.get(kinds[0]) or kinds[0].__name__
+            raise InputError(f"{function.__name__}: {name} is of type {type(value).__name__}, expected {expected}")
+        if name == "seed" and value is not None and value < 0:
+            raise InputError(f"{function.__name__}: seed {value}: expected zero or more")
+        # Numpy's whole numbers become Python's own, which do not overflow.
+        return int(value) if kinds[0] is int and value is not None else value
 
     @wraps(function)
     def call(*given: Any, **named: Any) -> Any:
-        for name, value in (*zip(parameters, given, strict=False), *named.items()):
-            if name in kinds and not isinstance(value, kinds[name]):
-                wanted = (get_args(kinds[name]) or (kinds[name],))[0].__name__
-                raise InputError(f"{function.__name__}: {name} is of type {type(value).__name__}, expected {wanted}")
-        return function(*given, **named)
+        known = [read(name, value) for name, value in zip(parameters, given, strict=False)]
+        return function(*known, *given[len(known) :], **{name: read(name, value) for name, value in named.items()})
 
     return call
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    if kind == Sequence[str]:
+        return isinstance(value, Collection) and not isinstance(value, str) and all(isinstance(v, str) for v in value)
+    if kind is float and getattr(value, "ndim", None) == 0:
+        return True
+    if kind in _PLAIN:
+        return isinstance(value, Integral if kind is int else Real) and not isinstance(value, bool)
+    return not isinstance(kind, type) or isinstance(value, kind)

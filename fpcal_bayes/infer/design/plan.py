@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from fpcal_bayes.infer.design.exchange import (
     greedy,
     most_useful_first,
     reference_of,
+    require_possible,
 )
 from fpcal_bayes.infer.design.information import Criterion
 from fpcal_bayes.infer.design.order import duration, in_short_order
@@ -34,8 +36,8 @@ _PARENTS, _SHORT = 4, (4, 1)
 _TURNED_DRAWS, _TURNED_GAIN = 4, 0.005
 #: Numbers of sweeps on the frontier.
 _NUMBERS = (4, 6, 8, 10, 12, 14, 16, 20, 24, 30)
-#: Sweeps of the first plan when time is given.
-_FIRST = 12
+#: Most readings of a sweep; sweeps of the first plan when time is given.
+_MOST_READINGS, _FIRST = 100, 12
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,12 @@ class PlanSettings:
     several: bool = False  # also move several joints of one controller at once
     seed: int = 0
     limits: SweepLimits = field(default_factory=SweepLimits)  # the planner holds them to the cell's envelope
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.readings <= _MOST_READINGS:
+            raise InputError(f"{self.readings} readings of a sweep: expected 0, the whole trace, to {_MOST_READINGS}")
+        if not 0 < self.sigma < np.inf:
+            raise InputError(f"standard deviation {1e3 * self.sigma:g} nm of a reading: expected a number above zero")
 
 
 @dataclass(frozen=True)
@@ -91,17 +99,14 @@ class Planner:
         tell: Callable[[float], None] = lambda _: None,
     ) -> None:
         self.ground, self.tell = ground, tell
+        self._singles: dict[int, ChosenSweeps] = {}
         settings = PlanSettings() if settings is None else settings
         self.settings = settings = replace(settings, limits=settings.limits.within_envelope(ground.model, ground.draws))
         self._tolerances = tolerances
         self.reference = reference_of(tuple(ground.goals.jacobians), tolerances)
+        rng, limits, several = np.random.default_rng(settings.seed), settings.limits, settings.several
         self.candidates = candidate_sweeps(
-            ground.cell,
-            n=settings.n_candidates,
-            rng=np.random.default_rng(settings.seed),
-            values=self._centre,
-            limits=settings.limits,
-            several=settings.several,
+            ground.cell, n=settings.n_candidates, rng=rng, values=self._centre, limits=limits, several=several
         )
 
     @property
@@ -115,34 +120,51 @@ class Planner:
         design = (ground or self.ground).design(sweeps, readings=settings.readings, sigma=settings.sigma)
         return Criterion(design, self.reference)
 
+    def left(self, sweeps: Sweeps, ground: Ground | None = None) -> dict[str, float]:
+        """What sweeps in their order leave of each task, in um, by default where plans are made."""
+        return (ground or self.ground).expected_sd(sweeps, readings=self.settings.readings, sigma=self.settings.sigma)
+
     def value(self, sweeps: Sweeps, ground: Ground | None = None) -> float:
         """The criterion after sweeps in their order."""
         design = (ground or self.ground).driven(sweeps, readings=self.settings.readings, sigma=self.settings.sigma)
         return Criterion(design, self.reference).value(())
 
-    def best(self, n: int) -> ChosenSweeps:
-        """The best n sweeps that are found: plans on few draws each, the best of them and all on more, then on all."""
+    def best(self, n: int, check: Ground | None = None) -> ChosenSweeps:
+        """The best n sweeps that are found: plans on few draws each, the best of them and all on more, then on all.
+
+        Where joints may move together the plan of `single` joints is given if it leaves less on `check`.
+        """
         settings, n_draws = self.settings, len(self.ground.goals.values)
-        if not 1 <= n <= len(self.candidates):
-            raise InputError(
-                f"{n} sweeps out of {len(self.candidates)} candidates: expected 1 to {len(self.candidates)}"
-            )
-        tries = settings.starts + settings.crossings * bool(settings.iterations)
+        require_possible(n, len(self.candidates))
+        tries, alone = settings.starts + settings.crossings * bool(settings.iterations), sum(_SHORT) * settings.several
         # In descents of `_STARTED` steps on `share` draws.
-        work = np.cumsum([0.0, tries, 1.0 * _WIDER, settings.iterations / _STARTED * n_draws / settings.share])
+        work = np.cumsum([alone, tries, 1.0 * _WIDER, settings.iterations / _STARTED * n_draws / settings.share])
 
         def begun(stage: int, share: float) -> None:
             self.tell(float(work[stage] + share * (work[stage + 1] - work[stage])) / float(work[-1]))
 
+        single = self.single(n, lambda share: self.tell(share * alone / float(work[-1]))) if settings.several else None
         found: list[Sweeps] = []
         for number in range(tries):
             ground = self._part(number, settings.share)
             begin = self._crossed(n, found, ground) if number >= settings.starts else self._start(n, number)
             found.append(self._descended(begin, ground, _STARTED))
             begun(0, (number + 1) / tries)
-        best = self._joined(found, self._part(0, _WIDER * settings.share))
+        every = found if single is None else [*found, single.sweeps]
+        best = self._joined(every, self._part(0, _WIDER * settings.share))
         begun(1, 1.0)
-        return self.refined(best, lambda share: begun(2, share))
+        refined = self.refined(best, lambda share: begun(2, share))
+        return (
+            refined
+            if single is None
+            else min((single, refined), key=lambda plan: self.excess(self.left(plan.sweeps, check)))
+        )
+
+    def single(self, n: int, tell: Callable[[float], None] = lambda _: None) -> ChosenSweeps:
+        """The best n sweeps of single joints that a short search finds; searched once."""
+        if n not in self._singles:
+            self._singles[n] = self.short(False, tell).best(n)
+        return self._singles[n]
 
     def _start(self, n: int, number: int) -> Sweeps:
         """The best of a part of the candidates: one by one, then each again beside the others."""
@@ -163,13 +185,12 @@ class Planner:
         return sweeps.take(np.array(exchange(judge, greedy(judge, n), passes=_PASSES)))
 
     def _joined(self, found: list[Sweeps], ground: Ground) -> Sweeps:
-        """The best plan among the sweeps of all: beginning from the best, and from none."""
+        """The best plan with each of its sweeps exchanged for one of all plans."""
         n = len(found[0])
         best = int(np.argmin([self.judge(plan, ground).value(range(n)) for plan in found]))
         every = join(found, "joined")
-        judge = self.judge(every, ground)
-        begun = tuple(range(n * best, n * (best + 1))), greedy(judge, n)
-        return every.take(np.array(min((exchange(judge, start, passes=_PASSES) for start in begun), key=judge.value)))
+        begun = tuple(range(n * best, n * (best + 1)))
+        return every.take(np.array(exchange(self.judge(every, ground), begun, passes=_PASSES)))
 
     def _part(self, number: int, share: int) -> Ground:
         """The ground averaged over the draws of one start: neighbours in a quasi-random sequence fill the space."""
@@ -187,17 +208,10 @@ class Planner:
     def _descended(
         self, sweeps: Sweeps, ground: Ground, steps: int, tell: Callable[[float], None] = lambda _: None
     ) -> Sweeps:
-        settings = self.settings
-        return descend(
-            sweeps,
-            lambda plan: self.judge(plan, ground),
-            ground.sweep_rows(settings.readings, settings.sigma),
-            self._centre,
-            settings.limits,
-            several=settings.several,
-            iterations=min(steps, settings.iterations),
-            tell=tell,
-        )
+        settings, judge = self.settings, partial(self.judge, ground=ground)
+        rows, most = ground.sweep_rows(settings.readings, settings.sigma), min(steps, settings.iterations)
+        space = self._centre, settings.limits
+        return descend(sweeps, judge, rows, *space, several=settings.several, iterations=most, tell=tell)
 
     def in_order(self, sweeps: Sweeps, file: object = "plan") -> Sweeps:
         """Sweeps in a short order within the envelope; one turns round if lost motion then shows."""
@@ -215,7 +229,7 @@ class Planner:
         require_within_envelope(self.ground.model, self.ground.draws, ordered.q_start, ordered.q_end, file=file)
         return ordered
 
-    def within(self, seconds: float, most: int = 69) -> ChosenSweeps:
+    def within(self, seconds: float, most: int = 69, check: Ground | None = None) -> ChosenSweeps:
         """As many sweeps, up to `most`, as take no longer than `seconds` in their order; `InputError` if none does."""
 
         def spent(sweeps: Sweeps) -> float:
@@ -225,7 +239,7 @@ class Planner:
         n, fits, too_many = min(most, _FIRST), 0, most + 1
         best = None
         while too_many - fits > 1:
-            found = self.best(n)
+            found = self.best(n, check)
             needed = left = spent(found.sweeps)
             if needed > seconds:
                 too_many = n
@@ -251,9 +265,9 @@ class Planner:
         settings, short, points = self.settings, self.short(self.settings.several), []
         numbers = [n for n in _NUMBERS if n < most] + [most]
         for done, n in enumerate(numbers):
-            plan = short.in_order(short.best(n).sweeps)
-            sd = check.expected_sd(plan, readings=settings.readings, sigma=settings.sigma)
-            points.append(Point(n, duration(self.ground.cell, plan, settings.readings, settings.limits), sd))
+            plan = short.in_order(short.best(n, check).sweeps)
+            seconds = duration(self.ground.cell, plan, settings.readings, settings.limits)
+            points.append(Point(n, seconds, self.left(plan, check)))
             tell((done + 1) / len(numbers))
         return Frontier(tuple(points), tuple(self.excess(point.sd) for point in points))
 
@@ -263,17 +277,13 @@ class Planner:
 
     def excess(self, sd: Mapping[str, float]) -> float:
         """The largest ratio of a task's standard deviation to what it is judged by."""
-        return max(
-            sd[name] / float(limit) for name, limit in zip(self.ground.goals.jacobians, self.reference, strict=True)
-        )
+        return max(sd[name] / float(of) for name, of in zip(self.ground.goals.jacobians, self.reference, strict=True))
 
-    def fewest(self, *, most: int = 69, check: Ground | None = None) -> ChosenSweeps:
-        """The fewest sweeps found by halving, up to `most`, that keep to the tolerances on `check`, or `InputError`."""
-        check = self.ground if check is None else check
-        readings, sigma = self.settings.readings, self.settings.sigma
+    def fewest(self, *, most: int = 69, check: Ground | None = None, settle: bool = False) -> ChosenSweeps:
+        """The fewest up to `most` that keep to the tolerances on `check`; else `InputError`, or to `settle` the best."""
 
         def enough(plan: Sweeps) -> bool:
-            return self.excess(check.expected_sd(plan, readings=readings, sigma=sigma)) <= 1.0
+            return self.excess(self.left(plan, check)) <= 1.0
 
         chosen: tuple[int, ...] = ()
         criterion = self.judge(self.candidates, self.ground.at_draws(np.arange(min(len(self.ground.goals.values), 16))))
@@ -283,26 +293,29 @@ class Planner:
                 break
         best = self.refined(self.candidates.take(np.array(chosen)))
         if not enough(best.sweeps):
-            best = self.best(len(chosen))
+            best = self.best(len(chosen), check)
         if not enough(best.sweeps):
-            raise self._unreached(len(chosen), check.expected_sd(best.sweeps, readings=readings, sigma=sigma))
+            if settle:
+                return best
+            raise InputError(self.unreached(self.left(best.sweeps, check), len(chosen)))
         too_few, high = 0, len(chosen)
         while high - too_few > 1:
             middle = (too_few + high) // 2
-            plan = self.best(middle)
+            plan = self.best(middle, check)
             if enough(plan.sweeps):
                 best, high = plan, middle
             else:
                 too_few = middle
         return best
 
-    def _unreached(self, n: int, sd: Mapping[str, float]) -> InputError:
+    def unreached(self, sd: Mapping[str, float], n: int) -> str:
+        """A sentence on `n` sweeps, the best that are found, that leave each task `sd` in um and miss a tolerance."""
         missed = [
             f"{name} {1e3 * sd[name]:.3g} nm in place of {1e3 * limit:.3g} nm"
             for name, limit in zip(self.ground.goals.jacobians, self.reference, strict=True)
             if sd[name] > limit
         ]
-        return InputError(f"no plan of up to {n} sweeps reaches the target; the best has {', '.join(missed)}")
+        return f"no plan of up to {n} sweeps reaches the target; the best has {', '.join(missed)}"
 
 
 def plan(

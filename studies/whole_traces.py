@@ -47,6 +47,7 @@ from fpcal_bayes.infer import (
     LOG_SD_NOISE,
     PATH_POINTS,
     Problem,
+    curve_sd,
     identify,
     linear_task_sd,
     minimise,
@@ -133,7 +134,8 @@ class FromTruth:
         problem = Problem.of(self.model, self.rows(index, truth.values[0]))
         found = minimise(problem, problem.unknowns(truth.values[0])).unknowns
         values, covariance = problem.values(found), problem.covariance(found)
-        return Estimate(self.cell, self.cell.free, values, covariance, ("identified",) * len(values))
+        bend = curve_sd(problem, found, covariance)
+        return Estimate(self.cell, self.cell.free, values, covariance, ("identified",) * len(values), curve=bend)
 
 
 def task_errors(estimate: Estimate, truth: Truth) -> list[tuple[float, float]]:

@@ -184,7 +184,7 @@ class TestConsidered:
         held = CavityModel.of(cell, considered.parameters, vector)
         predicted, by_held = held.predict_with_jacobian(vector[considered.parameters.slots], problem.rows)
         innovation = problem.target - predicted - by_free @ (free.nominal - values)
-        return noise, by_free, by_held, np.diag(free.prior_sd**2), considered.covariance, innovation
+        return noise, by_free, by_held, np.diag(free.prior_sd**2), considered.factor @ considered.factor.T, innovation
 
     def test_estimate_is_that_of_inflated_noise(self, problem):
         # Both sides are linear here: one Gauss-Newton step from the point of linearisation is the whole estimate.
@@ -228,7 +228,7 @@ class TestConsidered:
         direction = np.linspace(-0.01, 0.01, len(held)) * held.prior_sd
         line = Problem.of(CavityModel.of(CELL, chosen), sweeps, Considered.of(held, np.outer(direction, direction)))
         np.testing.assert_allclose(
-            line.considered.covariance / np.outer(held.prior_sd, held.prior_sd),
+            line.considered.factor @ line.considered.factor.T / np.outer(held.prior_sd, held.prior_sd),
             np.outer(direction, direction) / np.outer(held.prior_sd, held.prior_sd),
             atol=1e-16,
         )

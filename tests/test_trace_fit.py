@@ -10,6 +10,7 @@ import pytest
 from fpcal_bayes.analysis.traces import trace_rows
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.fringes.fit import CALM, fit_course
+from fpcal_bayes.fringes.ingest import ingest
 from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile, lengths_at
 from fpcal_bayes.fringes.samples import Samples
 from fpcal_bayes.infer.fit.identify import identify
@@ -18,6 +19,7 @@ from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.measure.truth import paper_truth
+from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.simulator.optics import RecorderSettings
 from fpcal_bayes.simulator.recorder import record_sweeps
@@ -72,9 +74,43 @@ def test_rows_of_whole_traces_are_as_far_from_the_truth_as_they_say(femto: Cell)
     squares = problem.data_residuals(problem.unknowns(drawn)) ** 2
     assert 0.6 < squares.mean() < 1.35
     found = problem.values(minimise(problem, problem.unknowns(drawn)).unknowns)
-    long = identify(femto, trace_rows(femto, index)[0])
-    assert len(problem.target) == len(long.problem.target)
+    rows, said = trace_rows(femto, index)
+    long = identify(femto, rows)
     assert np.all(np.abs(found - long.estimate.values) < 0.3 * long.estimate.sd)
+    # One trace is too short to follow: the scans at its ends tell its change, as a row of its own.
+    alone = np.flatnonzero(rows.group == "")
+    assert len(problem.target) == len(rows) - 1
+    assert any("by their scans alone" in text and str(rows.label[alone[0]]) in text for text in said)
+    true = fast.model.predict(drawn, rows.take(alone).laid_out(fast.model))
+    assert rows.signed[alone].all()
+    assert np.all(np.abs(rows.dl[alone] - true) < 4.0 * rows.sigma[alone])
+    assert np.all(rows.sigma[alone] < 0.2)
+
+
+def test_half_a_turn_is_followed_though_one_trace_alone_looks_uneven(femto: Cell) -> None:
+    """q6 from 90 to -90 deg moves L by polynomials that the reader lacks; a mirror off its course is left out."""
+    paper, few = paper_truth(femto), paper_protocol(femto).take(np.arange(0, 69, 3))
+    sds = np.array([p.prior_sd for p in paper.parameters])
+    drawn = femto.free.nominal + sds * np.random.default_rng(14).standard_normal(21)
+    q = np.array([150.0, 150.0, 150.0, 0.065, -0.038, np.pi / 2.0])
+    turn = replace(
+        few.take(np.array([0])), q_start=q[None], q_end=(q * [1, 1, 1, 1, 1, -1])[None], label=np.array(["turn"])
+    )
+    plan = join([few, turn])
+    index = record_sweeps(femto, replace(paper, times_h=np.zeros(1), values=drawn[None]), plan, seed=14)
+    assert [reading.uneven for reading in ingest(index, femto).readings if reading is not None][-1]
+    rows, _ = trace_rows(femto, index)
+    own = rows.group == "turn"
+    assert own.sum() >= 4
+    model = CavityModel.of(femto)
+    problem = Problem.of(model, rows.take(own))
+    assert np.mean(problem.data_residuals(problem.unknowns(drawn)) ** 2) < 3.0
+    # The same light, of a mirror that lags behind by up to 20 nm on its way.
+    trace = index.traces[-1]
+    joint = trace.joint + 3e-4 * np.sin(np.linspace(0.0, 4.0 * np.pi, len(trace)))
+    rows, said = trace_rows(femto, replace(index, traces=[*index.traces[:-1], replace(trace, joint=joint)]))
+    assert "turn" not in rows.group
+    assert any("turn" in text for text in said)
 
 
 def test_what_a_signal_tells_does_not_depend_on_its_prior() -> None:

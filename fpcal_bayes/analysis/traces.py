@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.linalg import counted, covariance_root, quantile_band
+from fpcal_bayes.core.linalg import covariance_root, quantile_band
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.fringes.count import Reading
 from fpcal_bayes.fringes.fit import fit_course
-from fpcal_bayes.fringes.ingest import IngestSettings, ingest, rows_along
+from fpcal_bayes.fringes.ingest import Ingested, IngestSettings, ingest, rows_along
 from fpcal_bayes.fringes.path_check import PathCheck
 from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile, estimated_profiles, lengths_at, prior_profiles
 from fpcal_bayes.fringes.samples import Samples
@@ -42,24 +42,25 @@ def trace_rows(cell: Cell, index: TraceIndex, *, session: str | None = None) -> 
     index = index.take(np.flatnonzero(of))
     sweeps, errs = index.sweeps, cell.mechanics is not None
     found = ingest(index, cell, settings=IngestSettings(points=1))
-    told = [r is not None and r.good and not (r.late or (r.uneven and not errs)) for r in found.readings]
-    if not any(told):
-        raise InputError(f"{sweeps.file}: in no sweep the mirror follows its joint: expected traces that do")
+    # Half a turn has more polynomials than the reader of one trace allows for: what it calls uneven may be the course.
+    told = [
+        each is not None and not each.late and (each.good or (each.uneven and not (errs or each.alternatives)))
+        for each in found.readings
+    ]
+    scanned = _by_scans(found, sweeps)
     # What many polynomials leave of half a turn is below a picometre; how they may be off, few of them say.
-    estimate = identify(cell, found.sweeps).estimate
-    expected = estimated_profiles(estimate, sweeps, _MOST)
+    expected = estimated_profiles(identify(cell, join([found.sweeps, *scanned.values()])).estimate, sweeps, _MOST)
     priors = [np.pad(each.covariance, (0, _MOST - DEGREE)) for each in prior_profiles(cell, sweeps)]
     light = 1.0 / (4.0 * cell.interferometer.fibre_reflectivity * cell.interferometer.gain)
-    along, used = [], []
-    for i in np.flatnonzero(told).tolist():
-        reading, samples, near = found.readings[i], found.samples[i], expected[i].mean
-        if reading is None or samples is None or reading.fit is None:
-            raise ValueError(f"row {i} has no trace")
+    along = {}
+    for i, (reading, samples) in enumerate(zip(found.readings, found.samples, strict=True)):
+        if reading is None or samples is None or not told[i]:
+            continue
         if errs:
             places = np.array([0.0, 1.0])
             changes, covariance = reading.changes(places)
             common = covariance_root(covariance)
-        elif (seen := _whole(reading, samples, near, priors[i], light)) is not None:
+        elif (seen := _whole(reading, samples, expected[i].mean, priors[i], light)) is not None:
             places, changes, common = seen
         else:
             continue
@@ -67,16 +68,28 @@ def trace_rows(cell: Cell, index: TraceIndex, *, session: str | None = None) -> 
         changes = np.copysign(1.0, changes[-1] * (reading.dl if reading.signed else 1.0)) * changes
         rows = rows_along(sweeps.take(np.array([i])), places).with_measurement(changes, _LEFT)
         wide = np.pad(common, ((0, 0), (0, DEGREE - common.shape[1])))
-        used.append(i)
-        along.append(replace(rows, common=wide, signed=np.full(len(places), reading.signed)))
-    if not used:
+        along[i] = replace(rows, common=wide, signed=np.full(len(places), reading.signed))
+    if not along:
         raise InputError(f"{sweeps.file}: no trace is the course of its joint: expected traces that are")
-    said = []
-    if len(used) < len(told):
-        names = ", ".join(np.delete(sweeps.label, used)[:12])
-        left = counted(len(told) - len(used), "trace")
-        said = [f"left out: {left}, doubtful or of a mirror that is off its joint's course ({names})"]
-    return join(along, sweeps.file), said
+    rest = [i for i in range(len(sweeps)) if i not in along and i not in scanned]
+    named = {
+        "known by their scans alone, doubtful or too short to follow": list(scanned),
+        "left out, doubtful or of a mirror that is off its joint's course": rest,
+    }
+    said = [f"{what}: {', '.join(sweeps.label[rows][:12])}" for what, rows in named.items() if rows]
+    return join([*along.values(), *scanned.values()], sweeps.file), said
+
+
+def _by_scans(found: Ingested, sweeps: Sweeps) -> dict[int, Sweeps]:
+    """Rows of sweeps whose traces are doubtful, though the mirror keeps to its joint, by the scans at either end."""
+    rows = {}
+    for i, (reading, *scans) in enumerate(zip(found.readings, found.scans_before, found.scans_after, strict=True)):
+        first, last = (scan if scan is not None and scan.good else None for scan in scans)
+        if reading is not None and reading.doubt and not (reading.late or reading.uneven) and first and last:
+            one, change = sweeps.take(np.array([i])), np.array([last.length - first.length])
+            one = one.with_measurement(change, float(np.hypot(first.sigma, last.sigma)))
+            rows[i] = replace(one, signed=np.ones(1, dtype=bool), group=np.array([""]))
+    return rows
 
 
 def _whole(

@@ -46,8 +46,7 @@ def add_command(commands: Any, name: str) -> None:
     for option, settings in stated["options"].items():
         several = command_file("shared")[option[1:]] if option.startswith("+") else {option: settings}
         for names, own in several.items():
-            holder = group if names in exclusive else parser
-            holder.add_argument(*names.split(), **_understood(own))
+            (group if names in exclusive else parser).add_argument(*names.split(), **_understood(own))
     if name not in _WITHOUT_JSON:
         add("--json", metavar="OUT", type=Path, help="write the result as JSON")
 

@@ -1,6 +1,6 @@
 """Linear algebra and distributions that every room needs; each formula stands here once."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
@@ -32,8 +32,7 @@ def symmetric_root(covariance: Floats, *, least: float = 0.0, eigh: Eigh = np.li
 
 def posterior_triangle(jacobian: Floats) -> Floats:
     """Upper triangular R with R'R = J'J + 1, of whitened, prior-scaled rows J (n_rows, n); shape (n, n)."""
-    n = jacobian.shape[1]
-    return np.asarray(linalg.qr(np.vstack([jacobian, np.eye(n)]), mode="raw")[1])
+    return np.asarray(linalg.qr(np.vstack([jacobian, np.eye(jacobian.shape[1])]), mode="raw")[1])
 
 
 def symmetric(matrix: Floats) -> Floats:
@@ -73,6 +72,11 @@ def plain(square: float, places: int = 1) -> str:
 def chance(p: float) -> str:
     """A probability for a sentence; what is too small for a number is not said to be zero."""
     return f"p = {p:.2g}" if p > 0.0 else "p < 1e-300"
+
+
+def listed(names: Sequence[str]) -> str:
+    """One name or several for a sentence: a, b and c."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def counted(n: int, what: str) -> str:

@@ -213,8 +213,7 @@ def _if_it_lasts(
     if long.hours <= short.hours or short.hours <= 0.0 or short.hours >= costs.horizon_h:
         return short
     later = forecast.ahead(short.state, short.hours)
-    again = session_of(forecast, model, later, costs, choose(forecast, later, len(short.sweeps)))
-    loss = short.hours - again.hours
+    loss = short.hours - session_of(forecast, model, later, costs, choose(forecast, later, len(short.sweeps))).hours
     if loss <= 0.0:
         return short
     share = (long.minutes - short.minutes) / short.minutes

@@ -135,8 +135,7 @@ class Policy:
         # the whole pool and in random halves of it, the session of the greatest power is taken.
         random, count = np.random.default_rng(0), len(whole.candidates)
         pools = [whole, *(whole.take(random.permutation(count)[: max(n, count // 2)]) for _ in range(_HALVES))]
-        robot = {"robot": np.eye(m)[at : at + 1]}
-        found = [pool.choose(wide, robot, n, passes=5) for pool in pools]
+        found = [pool.choose(wide, {"robot": np.eye(m)[at : at + 1]}, n, passes=5) for pool in pools]
         return max(found, key=lambda sweeps: self._power(state, sweeps, HOURS_PER_DAY))
 
     def _power(self, state: State, sweeps: Sweeps, hours: float) -> float:

@@ -86,8 +86,7 @@ def lay_out(trace: Trace, start: float, end: float, *, unit: str, scale: float, 
     if why:
         raise located(trace.file or place, why, column="joint")
     first, last = trace.time_s[0], trace.time_s[-1]
-    time = (2.0 * trace.time_s - first - last) / (last - first)
-    return Samples(s, time, trace.irradiance, np.ones(len(s)))
+    return Samples(s, (2.0 * trace.time_s - first - last) / (last - first), trace.irradiance, np.ones(len(s)))
 
 
 def fault(samples: Samples, full_scale: float | None = None) -> str:

@@ -26,6 +26,7 @@ _PLACES = {
     "choose_sweeps": "design.exchange",
     "compare": "posterior.compare",
     "covariance_of": "mechanics.known",
+    "curve_sd": "fit.minimise",
     "doubts_of": "mechanics.judge",
     "estimate_ground": "design.problem",
     "fit_mechanics": "mechanics.fit",

@@ -267,8 +267,7 @@ class _Reader(Tables):
             else:
                 nominal = length("nominal", default=0.0)
                 low = nominal if kind == "half-normal" else -math.inf if ends[0] is None else ends[0]
-                high = math.inf if ends[1] is None else ends[1]
-                prior = TruncatedNormal(nominal, length("prior_sd"), low, high)
+                prior = TruncatedNormal(nominal, length("prior_sd"), low, math.inf if ends[1] is None else ends[1])
         except InputError as error:
             raise error if place in str(error) else self.error(place, str(error)) from error
         return ParameterEntry(nominal, prior.sd, flag, prior)

@@ -1,6 +1,7 @@
 """Estimates from the JSON that ``fpcal identify``, ``track`` and ``sample`` write."""
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -100,14 +101,17 @@ class _Reader(Tables):
             values.append(self.number(entry, f"parameters.{p.name}", "value", low=-most, high=most) * p.scale)
             status.append(entry["status"])
         covariance = self.covariance(content.get("covariance"), parameters, status)
-        for p, variance in zip(parameters, np.diag(covariance).tolist(), strict=True):
-            self.agree(stated[p.name], p.name, variance**0.5 / p.scale)
+        curve = np.zeros(len(parameters))
+        for i, (p, variance) in enumerate(zip(parameters, np.diag(covariance).tolist(), strict=True)):
+            curve[i] = p.scale * self.number(stated[p.name], f"parameters.{p.name}", "curve_sd", low=0.0, default=0.0)
+            self.agree(stated[p.name], p.name, math.hypot(variance**0.5, curve[i]) / p.scale)
         known = self.mechanics(content.get("mechanics"), parameters)
         return Estimate(
             cell=self.cell,
             parameters=parameters,
             values=np.array(values),
             covariance=covariance,
+            curve=curve,
             status=tuple(status),
             time_h=self.number(content, "", "time_h", default=0.0),
             valid_until_h=None if content.get("valid_until_h") is None else self.number(content, "", "valid_until_h"),

@@ -99,8 +99,7 @@ def get_pieces(reader: Reader, part: Any, end: str, names: Sequence[str], n: int
     rising = whole and (np.diff(ends, prepend=0) >= 0).all() and (ends[-1] if n else 0) == total
     if not rising or any(len(column) != total for column in columns):
         raise InputError(f"{reader.path}: {part.name}/{end}: expected whole numbers that rise to {total}, {n} of them")
-    cuts = ends[:-1].astype(np.int64)
-    return list(zip(*(np.split(column, cuts)[:n] for column in columns), strict=True))
+    return list(zip(*(np.split(column, ends[:-1].astype(np.int64))[:n] for column in columns), strict=True))
 
 
 def ends_of(parts: Sequence[Any]) -> Ints:

@@ -33,11 +33,14 @@ class Estimate(Result):
     data: dict[str, str] = field(default_factory=dict)  # name and hash of the file it was made from
     trust: Trust = field(default_factory=Trust)  # whether it may be used, and what is held against it
     mechanics: MechanicsKnowledge | None = None  # error motions with these parameters; None: perfect mechanism
+    curve: Floats | None = (
+        None  # sd that gauges add by their bend, (n,) or none: no length feels it, nor the covariance
+    )
 
     @property
     def sd(self) -> Floats:
         """Standard deviations in um and rad, shape (n,)."""
-        return np.sqrt(np.diag(self.covariance))
+        return np.hypot(np.sqrt(np.diag(self.covariance)), 0.0 if self.curve is None else self.curve)
 
     def __repr__(self) -> str:
         return f"Estimate({len(self.parameters)} parameters of {self.cell.name!r} at {self.time_h:g} h)"
@@ -47,7 +50,8 @@ class Estimate(Result):
         at = self.parameters.position(name)
         p = self.parameters[at]
         told = {"unit": p.unit, "prior_sd": p.shown(p.prior_sd), "status": self.status[at]}
-        return {"value": p.shown(float(self.values[at])), "sd": p.shown(float(self.sd[at])), **told}
+        bend = {} if self.curve is None or not self.curve[at] else {"curve_sd": p.shown(float(self.curve[at]))}
+        return {"value": p.shown(float(self.values[at])), "sd": p.shown(float(self.sd[at])), **told, **bend}
 
     def vector(self) -> Floats:
         """Model vector (model size,) with these values, the rest nominal."""

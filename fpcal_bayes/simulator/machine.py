@@ -273,8 +273,7 @@ def _draw_function(low: float, high: float, size: float, shape: str, rng: np.ran
     weight = rng.standard_normal(_FEATURES)
     kink, kinked = rng.uniform(-0.6, 0.6), 1.2 * rng.standard_normal() * np.sqrt(_FEATURES / 2)
     slope = rng.standard_normal() * np.sqrt(_FEATURES) if shape == "full" and not endless else 0.0
-    least = 2 if shape == "radial" else 1
-    order = rng.integers(least, 5, _FEATURES)
+    order = rng.integers(2 if shape == "radial" else 1, 5, _FEATURES)
 
     def raw(q: Floats) -> Floats:
         if endless:

@@ -61,8 +61,7 @@ class Study(ABC):
 
 def drawn_truth(cell: Cell, random: np.random.Generator) -> Truth:
     """A cell drawn from the prior, which does not drift."""
-    values = Prior.of(cell.free).values(random.standard_normal(len(cell.free)))
-    return Truth(cell.free, np.zeros(1), values[None])
+    return Truth(cell.free, np.zeros(1), Prior.of(cell.free).values(random.standard_normal(len(cell.free)))[None])
 
 
 def sweeps_sha256(sweeps: Sweeps) -> str:

@@ -139,8 +139,7 @@ def _within_reach(policy: Policy, followed: Track) -> Policy:
     least_nm = policy.decide(forecast, forecast.ahead(start, policy.costs.horizon_h)).attainable_nm
     if least_nm is None:
         return policy
-    tolerance_nm = 10.0 * float(np.ceil(_ROOM * least_nm / 10.0))
-    return replace(policy, goal=replace(policy.goal, tolerance_nm=tolerance_nm))
+    return replace(policy, goal=replace(policy.goal, tolerance_nm=10.0 * float(np.ceil(_ROOM * least_nm / 10.0))))
 
 
 def _held(followed: Track, outcomes: Sequence[SessionOutcome]) -> list[tuple[float, Estimate]]:

@@ -70,8 +70,7 @@ def _driven(
     """Circles by name, time, and the session with its estimate that each is driven with."""
     circles = []
     for number, (name, time_h, session, estimate) in enumerate(drives, start=seed):
-        path = task_path(estimate.cell, estimate.vector(), "circle", radius=RADIUS, n_points=_POINTS)
-        task = path.driven()
+        task = task_path(estimate.cell, estimate.vector(), "circle", radius=RADIUS, n_points=_POINTS).driven()
         change = driven_error(cell, truth, task, estimate, time_h, machine_seed)
         trace = record_path(cell, truth, task.q, time_h, seed=number, machine_seed=machine_seed)
         circles.append(Circle(name, time_h, session, task.along, change - change[0], trace))

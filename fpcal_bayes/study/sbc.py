@@ -148,7 +148,6 @@ def _ranks(posterior: Posterior, truth: Floats) -> Floats:
 
     def ranked(unknowns: Floats) -> Floats:
         lengths = problem.model.predict(problem.values(unknowns), task)
-        log_density = target.log_density(target.data_residuals(unknowns), unknowns)
-        return np.column_stack([unknowns, lengths, log_density])
+        return np.column_stack([unknowns, lengths, target.log_density(target.data_residuals(unknowns), unknowns)])
 
     return np.asarray((ranked(chosen) < ranked(problem.unknowns(truth)[None])).sum(axis=0).astype(float))

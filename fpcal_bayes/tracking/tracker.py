@@ -172,8 +172,7 @@ def track(
     outcomes = follow_sessions(hidden, model, limits, known.outcomes, parts)
     if starts:
         course = likeliest(drift, model, limits, outcomes, starts, parts)
-        hidden = followed_drift(drift, model, course[0])
-        outcomes = follow_sessions(hidden, model, limits, course, parts)
+        outcomes = follow_sessions(followed_drift(drift, model, course[0]), model, limits, course, parts)
     return replace(known, drift=hidden, outcomes=tuple(outcomes))
 
 

@@ -62,8 +62,7 @@ class SweepLimits:
         if self.reach is not None:
             return np.array(self.reach[0]), np.array(self.reach[1])
         free = np.where(cell.revolute, self.free_turn, self.free_travel)
-        low = np.where(np.isfinite(cell.low), cell.low, -free)
-        return low, np.where(np.isfinite(cell.high), cell.high, free)
+        return np.where(np.isfinite(cell.low), cell.low, -free), np.where(np.isfinite(cell.high), cell.high, free)
 
 
 def controllers(cell: Cell) -> list[NDArray[np.int64]]:

@@ -233,8 +233,7 @@ class Planner:
         """As many sweeps, up to `most`, as take no longer than `seconds` in their order; `InputError` if none does."""
 
         def spent(sweeps: Sweeps) -> float:
-            ordered = self.in_order(sweeps)
-            return duration(self.ground.cell, ordered, self.settings.readings, self.settings.limits)
+            return duration(self.ground.cell, self.in_order(sweeps), self.settings.readings, self.settings.limits)
 
         n, fits, too_many = min(most, _FIRST), 0, most + 1
         best = None

@@ -14,6 +14,7 @@ from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.fit.minimise import (
     DECREMENT_TOLERANCE,
     Solution,
+    curve_sd,
     distinct_minima,
     minimise,
     sign_images,
@@ -357,11 +358,14 @@ def _estimate(
     at = parameters.positions(uncertain)
     full = np.zeros((len(parameters), len(parameters)))
     full[np.ix_(at, at)] = covariance
+    curve, bent = np.zeros(len(parameters)), curve_sd(problem, unknowns, covariance)
+    curve[parameters.positions(np.delete(free.names, loose))] = np.delete(bent, loose)
     return Estimate(
         cell=cell,
         parameters=parameters,
         values=vector[parameters.slots],
         covariance=full,
+        curve=curve,
         status=tuple(status.get(name, "fixed") for name in parameters.names),
         time_h=float(sweeps.time_h.max()),
     )

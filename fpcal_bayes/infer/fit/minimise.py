@@ -27,6 +27,8 @@ _FAST = 0.05
 _MAX_EVALUATIONS = 400
 #: A step that is shortened to less than this share is tried along the bend of the valley; length of its differences.
 _CREEPS, _SHARE = 0.6, 1e-3
+#: Step of differences along a gauge, in prior standard deviations; share of an sd below which its bend is left out.
+_STEP, _FELT = 1e-2, 0.1
 
 
 @dataclass(frozen=True)
@@ -80,8 +82,7 @@ def polished(problem: Problem, unknowns: Floats) -> Solution:
         bend = np.zeros_like(step)
         candidate, candidate_residuals, candidate_total = _shortened(problem, unknowns, step, bend, total)
         if newton and np.linalg.norm(candidate - unknowns) < _CREEPS * np.linalg.norm(step):
-            bend = _bend(problem, unknowns, residuals, step)
-            around = _shortened(problem, unknowns, step, bend, total)
+            around = _shortened(problem, unknowns, step, _bend(problem, unknowns, residuals, step), total)
             if around[2] < candidate_total:
                 candidate, candidate_residuals, candidate_total = around
         if candidate_total > total:
@@ -198,3 +199,19 @@ def spread_over(problem: Problem, covariance: Floats, solution: Solution, others
     away = np.zeros((len(minima), len(covariance)))
     away[:, :n] = [problem.values(minimum.unknowns)[:n] - problem.values(solution.unknowns)[:n] for minimum in minima]
     return np.asarray(np.tensordot(weights, np.array([covariance, *own[1:]]) + away[:, :, None] * away[:, None], 1))
+
+
+def curve_sd(problem: Problem, unknowns: Floats, covariance: Floats) -> Floats:
+    """What gauges add by their bend to the standard deviations of a `covariance`, in um and rad (n_free,)."""
+    n, rows = problem.n_free, len(problem.target)
+    unseen = spectrum_of(problem.data_jacobian(unknowns)[:, :n]).null_space
+    orthonormal, triangle = linalg.qr(problem.jacobian(unknowns), mode="economic", overwrite_a=True)
+    curve = np.zeros((len(unseen), n, len(unseen)))
+    for each, gauge in zip(curve, _STEP * np.pad(unseen, ((0, 0), (0, problem.n_unknowns - n))), strict=True):
+        ahead, behind = (problem.data_jacobian(unknowns + way)[:, :n] @ unseen.T for way in (gauge, -gauge))
+        # What keeps the rows as they are, to second order, while the scores along the gauges are standard normal.
+        moved = orthonormal[:rows].T @ (ahead - behind) / (2.0 * _STEP)
+        each[:] = problem.prior.slopes(unknowns[:n]) @ -linalg.solve_triangular(triangle, moved)[:n]
+    # The mean square of half a quadratic form, whose mean the estimate, at the mode, lacks.
+    square = 0.5 * (curve**2).sum(axis=(0, 2)) + 0.25 * np.einsum("knk->n", curve) ** 2
+    return np.where(square > _FELT**2 * np.diag(covariance)[:n], np.sqrt(square), 0.0)

@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from fpcal_bayes.core.linalg import chi2_tail
+from fpcal_bayes.core.linalg import chi2_tail, listed
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.minimise import Solution, minimise, stepped
 from fpcal_bayes.infer.fit.problem import Problem
@@ -108,7 +108,7 @@ def mistakes(cell: Cell, sweeps: Sweeps) -> Iterator[Mistake]:
     sides = side_sets(cell)
     for axes in axis_sets(cell, moved):
         verb = "counts" if len(axes) == 1 else "count"
-        name = f"{_listed([names[j] for j in axes])} {verb} the other way"
+        name = f"{listed([names[j] for j in axes])} {verb} the other way"
         name += ", that is, the fibre stands on the other side" * (frozenset(axes) in sides)
         yield Mistake(name, posed(np.diag([-1.0 if j in axes else 1.0 for j in range(n)])), axes)
     found = []
@@ -122,7 +122,7 @@ def mistakes(cell: Cell, sweeps: Sweeps) -> Iterator[Mistake]:
     groups += [tuple(np.flatnonzero(kind).tolist()) for kind in (~cell.revolute, cell.revolute) if kind.sum() > 1]
     for joints in groups:
         for factor, size in (_ANGLES if cell.revolute[joints[0]] else _LENGTHS).items():
-            what = f"{_listed([names[j] for j in joints])} stand{'s' * (len(joints) == 1)} {size}"
+            what = f"{listed([names[j] for j in joints])} stand{'s' * (len(joints) == 1)} {size}"
             found.append(Mistake(what, posed(np.diag([factor if j in joints else 1.0 for j in range(n)])), joints))
     yield from (one for one in found if within(one.sweeps))
     lengths = {-1.0: "dl_um has the other sign, or starts and ends are exchanged", 1e3: "dl_um stands in mm",
@@ -232,7 +232,7 @@ def _axis_rivals(problem: Problem, solution: Solution) -> list[Reason]:
         return []
     mirrors = [frozenset(), *map(frozenset, mirror_sets(cell))]
     alike = sorted({tuple(sorted(frozenset(axes) ^ m)) for axes, _, _ in named for m in mirrors}, key=len)
-    few = [_listed([f"q{j + 1}" for j in axes]) for axes in alike if len(axes) <= len(alike[0]) + 1]
+    few = [listed([f"q{j + 1}" for j in axes]) for axes in alike if len(axes) <= len(alike[0]) + 1]
     _, rival, sweep = named[0]
     text = (
         f"with {', or '.join(few)} counted the other way the rows fit as well (sum of squares "
@@ -281,10 +281,6 @@ def _telling(problem: Problem, solution: Solution, rival: Solution, way: Floats)
     at = "".join(f" at q{j + 1} = {shown_start[j]:g} {cell.joints[j].unit}" for j in beside)
     move = f"q{joint + 1} from {shown_start[joint]:g} to {shown_end[joint]:g} {cell.joints[joint].unit}{at}"
     return f"{move}, where dL is {ours[best]:.4g} um, or {theirs[best]:.4g} um the other way"
-
-
-def _listed(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _problem(problem: Problem, sweeps: Sweeps) -> Problem:

@@ -26,10 +26,10 @@ BENT = (
 
 def bends(estimate: Estimate) -> bool:
     """Whether values and covariance stand for a surface that is thin beside its extent: a posterior of sweeps."""
-    sd = estimate.sd[estimate.sd > 0]
-    there = np.flatnonzero(estimate.sd > 0)
-    correlation = estimate.covariance[np.ix_(there, there)] / np.outer(sd, sd)
-    return len(sd) > 0 and float(linalg.eigvalsh(correlation)[0]) < _THIN
+    sd = np.sqrt(np.diag(estimate.covariance))
+    there = np.flatnonzero(sd)
+    correlation = estimate.covariance[np.ix_(there, there)] / np.outer(sd[there], sd[there])
+    return len(there) > 0 and float(linalg.eigvalsh(correlation)[0]) < _THIN
 
 
 @dataclass(frozen=True)

@@ -41,11 +41,6 @@ class Considered:
         """From a covariance (n, n) in um and rad, which may be singular."""
         return cls(parameters, covariance_root(covariance, parameters.prior_sd, eigh=linalg.eigh))
 
-    @property
-    def covariance(self) -> Floats:
-        """Covariance, shape (n_considered, n_considered)."""
-        return self.factor @ self.factor.T
-
 
 def hold_rest(
     cell: Cell, chosen: ParameterSet, start: Estimate | None, hold: str

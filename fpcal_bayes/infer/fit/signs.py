@@ -204,8 +204,7 @@ def _rival_doubt(chosen: _Branch, finished: list[_Branch]) -> Floats:
     # The same assignment may be reached twice: it counts once.
     distinct = np.unique(np.array([branch.target for branch in finished]), axis=0, return_index=True)[1]
     weights = np.exp(-0.5 * excess[distinct])
-    differs = np.array([finished[i].target != chosen.target for i in distinct])
-    return np.asarray(weights @ differs / weights.sum())
+    return np.asarray(weights @ np.array([finished[i].target != chosen.target for i in distinct]) / weights.sum())
 
 
 def _flip_doubt(problem: Problem, alike: _Alike, solution: Solution) -> Floats:

@@ -88,8 +88,7 @@ class MechanicsFit(Brief):
         geometry = self.rows.geometry
         for lower in self.factors:
             white = linalg.solve_triangular(lower, geometry, lower=True, check_finite=False)
-            target = linalg.solve_triangular(lower, self.rows.target, lower=True, check_finite=False)
-            means.append(white.T @ target)
+            means.append(white.T @ linalg.solve_triangular(lower, self.rows.target, lower=True, check_finite=False))
             spread += np.eye(len(spread)) - white.T @ white
         centres = np.array(means)
         centres[:, n_free:] = 0.0
@@ -142,8 +141,7 @@ def thinned(problem: Problem) -> Problem:
 
 
 def _designed(problem: Problem, terms: Terms, drive: Drive, unknowns: Floats) -> tuple[Design, RowNoise]:
-    vector = problem.model.vector(problem.values(unknowns))
-    made = design(terms, vector, drive, problem.sweeps.sigma)
+    made = design(terms, problem.model.vector(problem.values(unknowns)), drive, problem.sweeps.sigma)
     return made, RowNoise.of(problem.sweeps, made)
 
 

@@ -39,8 +39,7 @@ def whitened_residuals(fit: MechanicsFit) -> tuple[Floats, MarginalWhitening]:
     target = problem.target - predicted + geometry @ unknowns[: problem.n_free]
     factors = np.exp(fit.scales.log.mean(axis=0))
     base = fit.noise.whitening(float(factors[-1]), float(factors[-2]))
-    together = np.hstack([geometry, fit.design.matrix * factors[fit.design.scale]])
-    whitening = MarginalWhitening.around(base, together)
+    whitening = MarginalWhitening.around(base, np.hstack([geometry, fit.design.matrix * factors[fit.design.scale]]))
     return whitening.apply(target), whitening
 
 
@@ -52,8 +51,7 @@ def term_tests(fit: MechanicsFit) -> list[tuple[str, float]]:
     if n > 2:
         along = abs(float(white[1:] @ white[:-1])) / np.sqrt(n - 1.0)
         tests.append(("order of the rows", float(special.erfc(along / np.sqrt(2.0)))))
-    total = float(white @ white)
-    tests.append(("noise beyond all terms", float(special.gammaincc(n / 2.0, total / 2.0))))
+    tests.append(("noise beyond all terms", float(special.gammaincc(n / 2.0, float(white @ white) / 2.0))))
     return sorted(tests, key=lambda test: test[1])
 
 

@@ -62,8 +62,7 @@ def random_poses(cell: Cell, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """The middle of the joints' travels (n_joints,), and poses anywhere in them, shape (n_poses, n_joints)."""
     endless = ~np.isfinite(cell.high - cell.low)
     low, high = np.where(endless, -np.pi, cell.low), np.where(endless, np.pi, cell.high)
-    poses = rng.uniform(low, high, (_POSES, len(low)))
-    return np.where(endless, 0.0, 0.5 * (low + high)), poses
+    return np.where(endless, 0.0, 0.5 * (low + high)), rng.uniform(low, high, (_POSES, len(low)))
 
 
 def covariance_of(fit: MechanicsFit) -> Floats:

@@ -46,8 +46,7 @@ class MarginalWhitening(Whitening):
             kept = variance > _NEGLIGIBLE
             directions = directions[:, kept]
         shrink = 1.0 - 1.0 / np.sqrt(1.0 + variance[kept])
-        added = (weights**2).sum(axis=1)
-        return cls(base.scale, base.batches, np.ascontiguousarray(directions), shrink, added)
+        return cls(base.scale, base.batches, np.ascontiguousarray(directions), shrink, (weights**2).sum(axis=1))
 
     def apply(self, rows: Floats) -> Floats:
         """Whiten a vector (n_rows,), the columns of a matrix (n_rows, n), or of many (n_points, n_rows, n)."""

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 from scipy import linalg
 
+from fpcal_bayes.core.linalg import listed
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.spectrum import spectrum_of
 from fpcal_bayes.infer.observability.measures import pivots_of
@@ -68,8 +69,7 @@ def random_poses(model: CavityModel, rng: np.random.Generator, n: int) -> Floats
     cell = model.cell
     reach = np.where(cell.revolute, np.pi / 2, 1000.0)
     low = np.where(np.isfinite(cell.low), cell.low, -reach)
-    high = np.where(np.isfinite(cell.high), cell.high, reach)
-    return rng.uniform(low, high, (n, len(reach)))
+    return rng.uniform(low, np.where(np.isfinite(cell.high), cell.high, reach), (n, len(reach)))
 
 
 def null_space_within(space: Floats, jacobian: Floats) -> Floats:
@@ -78,8 +78,7 @@ def null_space_within(space: Floats, jacobian: Floats) -> Floats:
     # Judged against what the rows see of other parameters: rounding scales with that.
     scale = float(linalg.svdvals(jacobian)[0])
     spectrum = spectrum_of(np.vstack([seen, np.zeros((1, len(space)))]))
-    unseen = spectrum.singular_values <= 1e-9 * scale
-    return spectrum.directions[unseen] @ space
+    return spectrum.directions[spectrum.singular_values <= 1e-9 * scale] @ space
 
 
 def sparse_basis(space: Floats, known: Floats, pivots: list[int]) -> tuple[Floats, list[int]]:
@@ -118,16 +117,16 @@ def _explain(model: CavityModel, direction: Floats, names: tuple[str, ...], laye
     """Say why a direction is not seen."""
     first, others = names[0], names[1:]
     if layer == "sweeps":
-        together = f" only together with {_join(others)}" if others else ""
+        together = f" only together with {listed(others)}" if others else ""
         return f"these sweeps {'react to' if others else 'do not react to'} {first}{together}"
     if layer == "absolute":
         slides = {_stem(name) for name in names} <= {"x_wf", "y_wf", "z_wf"}
-        cause = f"sliding the fibre along its axis ({_join(names)})" if slides else f"a change of {_join(names)}"
+        cause = f"sliding the fibre along its axis ({listed(names)})" if slides else f"a change of {listed(names)}"
         seen = "every cavity length"
         if len(model.cell.beams) > 1:
             numbers = {model.free.position(name) for name in names}
             beams = [view.cell.beam for view, own in model.views if numbers & set(own.tolist())]
-            seen = f"every length of beam {_join(beams)}"
+            seen = f"every length of beam {listed(beams)}"
         return f"{cause} changes {seen} by the same amount, and sweeps measure differences"
     if not others:
         return f"no cavity length depends on {first}"
@@ -138,28 +137,26 @@ def _explain(model: CavityModel, direction: Floats, names: tuple[str, ...], laye
         moved = [direction[model.free.position(n)] for n in turns]
         shows = "sum" if moved[0] * moved[1] < 0 else "difference"
         rest = [n for n in names if n not in turns]
-        return f"{_join(turns)} turn about one axis; only their {shows} shows" + (
-            f" ({_join(rest)} take{'s' if len(rest) == 1 else ''} up the rest)" if rest else ""
+        return f"{listed(turns)} turn about one axis; only their {shows} shows" + (
+            f" ({listed(rest)} take{'s' if len(rest) == 1 else ''} up the rest)" if rest else ""
         )
     tilt = [n for n in names if _stem(n) in ("beta_et", "theta_et")]
     if len(turns) == 1 and tilt and len(turns) + len(tilt) == len(names):
-        return f"an offset of the last joint ({turns[0]}) turns the direction of the mirror's tilt ({_join(tilt)})"
+        return f"an offset of the last joint ({turns[0]}) turns the direction of the mirror's tilt ({listed(tilt)})"
     fibre = [n for n in names if _stem(n) in ("x_wf", "y_wf", "z_wf")]
     moving = [n for n in names if n not in fibre and _stem(n) not in ("beta_wf", "theta_wf")]
     if fibre and moving:
         if turns_mirror:
-            return f"{_join(moving)} move mirror and fibre ({_join([n for n in names if n not in moving])}) as one body"
+            return (
+                f"{listed(moving)} move mirror and fibre ({listed([n for n in names if n not in moving])}) as one body"
+            )
         return (
-            f"{_join(moving)} shift{'s' if len(moving) == 1 else ''} the mirror by the same vector at every pose, "
-            f"and so does a shift of the fibre ({_join(fibre)})"
+            f"{listed(moving)} shift{'s' if len(moving) == 1 else ''} the mirror by the same vector at every pose, "
+            f"and so does a shift of the fibre ({listed(fibre)})"
         )
-    return f"{_join(names)} can change together without any effect on the mirror as the fibre sees it"
+    return f"{listed(names)} can change together without any effect on the mirror as the fibre sees it"
 
 
 def _stem(name: str) -> str:
     """A parameter's name without that of its beam."""
     return name.partition(AT)[0]
-
-
-def _join(names: list[str] | tuple[str, ...]) -> str:
-    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]

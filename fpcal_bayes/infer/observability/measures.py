@@ -29,8 +29,7 @@ def bounds_of(jacobian: Floats) -> Bounds:
     # Rounding gives every parameter a share of about 1e-13 in the null space.
     unbiased[spectrum.null_share > 1e-12] = np.inf
     inverse = linalg.solve_triangular(posterior_triangle(jacobian), np.eye(jacobian.shape[1]))
-    with_prior = np.linalg.norm(inverse, axis=1)
-    return Bounds(unbiased, with_prior)
+    return Bounds(unbiased, np.linalg.norm(inverse, axis=1))
 
 
 @dataclass(frozen=True)

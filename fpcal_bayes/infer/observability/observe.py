@@ -303,5 +303,4 @@ def _worth(
         sigma=np.where(np.isfinite(candidates.sigma), candidates.sigma, sigma),
     )
     gains = gain_of(jacobian, whitened_jacobian(model, alone, values))
-    order = np.argsort(-gains, kind="stable")
-    return tuple((str(alone.label[i]), float(gains[i])) for i in order)
+    return tuple((str(alone.label[i]), float(gains[i])) for i in np.argsort(-gains, kind="stable"))

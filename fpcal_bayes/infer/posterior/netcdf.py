@@ -36,8 +36,7 @@ class PosteriorDraws:
 
     def thinned(self, most: int) -> "PosteriorDraws":
         """At most `most` of the draws, evenly spaced."""
-        every = -(-len(self.values) // most)
-        return replace(self, values=self.values[::every])
+        return replace(self, values=self.values[:: -(-len(self.values) // most)])
 
 
 def read_posterior(path: str | Path, cell: Cell) -> PosteriorDraws:

@@ -101,8 +101,7 @@ def pose_errors(
 def _mirrors(model: CavityModel, values: Floats, task: Task) -> tuple[Floats, Floats]:
     """Mirror orientations (n_draws, 1 + n_points, 3, 3) and places of its point, in the fibre frame, start first."""
     vectors, cell = np.array([model.vector(v) for v in values]), model.cell
-    joints = np.vstack([np.zeros_like(task.start), task.start, task.q])
-    tools = InverseModel(cell).tool_poses(vectors, joints)
+    tools = InverseModel(cell).tool_poses(vectors, np.vstack([np.zeros_like(task.start), task.start, task.q]))
     beta_et, theta_et, beta_wf, theta_wf, z_et = vectors[:, -8:-3].T
     zero = np.zeros(len(vectors))
     # eTt turns about X then the new Y, wTf about X then the new Z.

@@ -75,8 +75,7 @@ def validation_plan(
     number, rng = max(candidates, n), np.random.default_rng(seed)
     values = found.problem.values(found.solution.unknowns)
     whole = candidate_sweeps(cell, n=number, rng=rng, values=values, limits=limits, several=False)
-    read = read_often(whole, readings).with_measurement(np.zeros(number * readings), sigma)
-    rows = pool([fitted, read])
+    rows = pool([fitted, read_often(whole, readings).with_measurement(np.zeros(number * readings), sigma)])
     expected = Expected.of(found, rows, np.arange(len(rows)) < len(fitted))
     effects = effects_of(expected, worthwhile(estimate, tasks, _TOLERANCE, radius), seed=seed)
     sweep = np.repeat(np.arange(number), readings)
@@ -103,8 +102,7 @@ def choose(expected: Expected, effects: Mapping[str, Effects], sweep: Ints, n: i
         blocks = covariance.reshape(n_sweeps, n_each, n_sweeps, n_each)
         own = blocks[np.arange(n_sweeps), :, np.arange(n_sweeps), :] + np.eye(n_each) * 1e-15
         tall = left.reshape(len(left), n_sweeps, n_each).transpose(1, 2, 0)
-        white = np.linalg.solve(np.linalg.cholesky(own), tall)
-        gains = (white**2).sum(axis=1)
+        gains = (np.linalg.solve(np.linalg.cholesky(own), tall) ** 2).sum(axis=1)
         worth = _likely(excess + gains, (step + 1) * n_each) @ shares + _BEYOND * np.log1p(excess + gains) @ shares
         worth[chosen] = -np.inf
         best = int(np.argmax(worth))

@@ -71,8 +71,7 @@ class Expected:
             driven = drive_of_sweeps(sweeps, terms.sizes.minutes_per_sweep, terms.still)
             made = design(terms, model.vector(values), driven, sweeps.sigma)
             log = found.machine.scales.log[:: max(1, len(found.machine.scales.log) // _SCALES)]
-        geometry = problem.prior.by_scores(jacobian, unknowns)
-        return cls(joint, fitted, unknowns, geometry, drifting, log, made, terms)
+        return cls(joint, fitted, unknowns, problem.prior.by_scores(jacobian, unknowns), drifting, log, made, terms)
 
     @cached_property
     def typical(self) -> Floats:
@@ -110,8 +109,7 @@ class Expected:
         columns, base = self._parts(log)
         columns = np.hstack([self.geometry, columns, base.unwhiten(np.eye(len(self.fitted)))])
         fitted, fresh = columns[self.fitted], columns[~self.fitted]
-        factor = linalg.cho_factor(fitted @ fitted.T, lower=True)
-        gain = linalg.cho_solve(factor, fitted @ fresh.T).T
+        gain = linalg.cho_solve(linalg.cho_factor(fitted @ fitted.T, lower=True), fitted @ fresh.T).T
         rest = fresh - gain @ fitted
         return gain, rest @ rest.T
 
@@ -131,8 +129,7 @@ class Expected:
         rows, whitening = sweeps.laid_out(self.problem.model), MarginalWhitening.around(whitening, columns[kept])
         alone = replace(self.problem, sweeps=sweeps, rows=rows, target=self.problem.target[kept], whitening=whitening)
         before = minimise(alone, self.unknowns)
-        after = minimise(both, before.unknowns)
-        return max(after.sum_of_squares - before.sum_of_squares, 0.0)
+        return max(minimise(both, before.unknowns).sum_of_squares - before.sum_of_squares, 0.0)
 
     def p_value(self, score: float, *, seed: int = 0) -> float:
         """Probability of a larger score if the fit is right, over what is unknown of the scales."""

@@ -39,5 +39,4 @@ def drop_outdated(kernel: Any) -> None:
 def _newest_source() -> float:
     """When the youngest kernel of the package was written: kernels of one room call those of another."""
     package = Path(__file__).parents[2]
-    sources = [*package.rglob("kernels.py"), *package.rglob("kernels/*.py")]
-    return max(source.stat().st_mtime for source in sources)
+    return max(source.stat().st_mtime for source in [*package.rglob("kernels.py"), *package.rglob("kernels/*.py")])

@@ -40,8 +40,7 @@ Question = tuple[Floats, Ints, Floats, int, bool, Bools, Groups, Ints, Ints]
 def is_angle(slot: int, n_links: int) -> bool:
     """Whether the entry `slot` of the model vector is an angle whose sine the model needs."""
     if slot < STRIDE * n_links:
-        kind = slot % STRIDE
-        return kind in (BETA, ALPHA, THETA)
+        return (slot % STRIDE) in (BETA, ALPHA, THETA)
     return slot - STRIDE * n_links <= THETA_WF
 
 

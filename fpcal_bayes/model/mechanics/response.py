@@ -106,8 +106,7 @@ def responses(cell: Cell, vector: Floats, told: Directions, q: Floats, beam: Int
         return made(beam_to[:, None, :], turned_point, -beam_to, length)
     in_tool = np.array([np.sin(theta_et), -np.sin(beta_et) * np.cos(theta_et), np.cos(beta_et) * np.cos(theta_et)])
     normal = frames.tool @ in_tool
-    origin = frames.origin + z_et * frames.tool[:, :, 2]
-    distance = ((origin - fibre) * normal).sum(axis=1)
+    distance = (((frames.origin + z_et * frames.tool[:, :, 2]) - fibre) * normal).sum(axis=1)
     if cell.opd == "axis":
         facing = normal @ light
         length, inverse = distance / facing, 1.0 / facing

@@ -48,8 +48,7 @@ class EmulatedBench:
             axes = {i: joint.axis for i, joint in enumerate(rig.joints) if joint.axis.name == controller.name}
             for i in axes:
                 self.lab.axes[i].speed = rig.joints[i].speed
-            made = PIController if controller.driver == "pi-gcs2" else MCS2
-            self.stages[controller.name] = made(self.lab, axes)
+            self.stages[controller.name] = (PIController if controller.driver == "pi-gcs2" else MCS2)(self.lab, axes)
             self.server.add(controller.name, self.stages[controller.name], controller.address)
         space = instrument.settings.namespace
         spaces = ("ids", "sen") if space == "auto" else (space,)

@@ -31,10 +31,14 @@ def posterior(case: dict, draw: int, chosen: tuple[int, ...]) -> np.ndarray:
 
 
 @settings(max_examples=15)
-@given(seed=st.integers(0, 10**6), k=st.integers(1, 4))
-def test_variances_by_inverting_the_information(seed: int, k: int) -> None:
-    case = random_case(seed, k=k)
+@given(seed=st.integers(0, 10**6), k=st.integers(1, 4), n=st.sampled_from([4, 16]))
+def test_variances_by_inverting_the_information(seed: int, k: int, n: int) -> None:
+    """Whether the chosen rows are few beside the unknowns or many."""
+    case = random_case(seed, k=k, n=n)
     design = Design.of(**case)
+    if n > 4:
+        # With nothing known, few rows are a system of their own number.
+        design, case["known"] = Design.of(**case | {"known": None}), case["known"][:, :0]
     expected = []
     for c in range(7):
         left = [posterior(case, draw, (2, 5, c)) for draw in range(3)]
@@ -48,17 +52,14 @@ def test_variances_by_inverting_the_information(seed: int, k: int) -> None:
     mean = design.if_added((2, 5), worst=False)
     np.testing.assert_allclose(worst, np.array(expected)[:, :, 0], rtol=1e-6)
     np.testing.assert_allclose(mean, np.array(expected)[:, :, 1], rtol=1e-6)
-    some = np.array([4, 1])
-    np.testing.assert_allclose(design.if_added((2, 5), some), worst[some], rtol=1e-9)
 
 
 @pytest.mark.parametrize("mean", [False, True])
 def test_candidate_values_are_those_of_the_choice_with_it(mean: bool) -> None:
     design = Design.of(**random_case(1))
     criterion = Criterion(design, np.array([1.0, 2.0]), mean)
-    added = criterion.if_added((3,), None)
+    added = criterion.if_added((3,))
     np.testing.assert_allclose(added, [criterion.value((3, c)) for c in range(7)], rtol=1e-6)
-    np.testing.assert_allclose(criterion.if_added((3,), np.array([6, 0])), added[[6, 0]], rtol=1e-9)
 
 
 @pytest.mark.parametrize("k", [1, 2, 4])
@@ -93,7 +94,7 @@ def test_exchange_finds_no_worse_than_greedy_and_nearly_the_best(mean: bool) -> 
         # No single exchange helps any more.
         for place in range(3):
             others = found[:place] + found[place + 1 :]
-            values = criterion.if_added(others, np.array([c for c in range(9) if c not in others]))
+            values = criterion.if_added(others)[[c for c in range(9) if c not in others]]
             assert values.min() >= criterion.value(found) - 1e-3 * abs(criterion.value(found))
         assert best <= criterion.value(found) + 1e-9
         assert sorted(most_useful_first(criterion, found)) == sorted(found)

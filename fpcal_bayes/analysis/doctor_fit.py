@@ -147,9 +147,7 @@ def _residual_remedy(text: str) -> str:
     if term.startswith("direction"):
         return f"state reversal_nm or reversal_urad of {term.split()[-1]}, or drive it from one side only"
     if term.startswith("order"):
-        return (
-            "the cell drifts while it is measured: state drift_nm_per_min, give t_start_h and t_end_h, or wait longer"
-        )
+        return "the cell drifts while measured: state drift_nm_per_min, give t_start_h and t_end_h, or wait longer"
     return _RETURN
 
 

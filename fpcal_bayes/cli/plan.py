@@ -82,8 +82,8 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
 def _plan(
     options: argparse.Namespace, cell: Cell, settings: PlanSettings, targets: dict[str, float], bar: "_Bar"
 ) -> int:
-    # A plan is judged on other draws than those it is made for, else the figures flatter it.
-    ground, check, trust = _grounds(options, cell, _tasks(options, targets, cell))
+    # Judged on other draws than those it is made for, else the figures flatter it.
+    ground, check, trust, first = _grounds(options, cell, _tasks(options, targets, cell))
     readings, sigma = settings.readings, settings.sigma
     try:
         papers = paper_protocol(cell)
@@ -97,40 +97,39 @@ def _plan(
         return _stop(options, cell, check, trust)
     most = options.n or 69
     if targets:
-        chosen = planner.fewest(most=most, check=check)
+        # What comes after measured sweeps is measured even if it does not suffice.
+        chosen = planner.fewest(most=most, check=check, settle=bool(options.n and options.after))
+    elif options.minutes is None:
+        chosen = planner.best(most, check)
     else:
-        in_time = options.minutes is not None
-        chosen = planner.within(60.0 * options.minutes, most, check) if in_time else planner.best(most, check)
-    chosen, plain = _named(chosen), None
+        chosen = planner.within(60.0 * options.minutes, most, check)
+    chosen, others = _named(chosen), {}
     ordered = planner.in_order(chosen.sweeps, options.output)
+    seconds = {"plan": duration(cell, ordered, readings, settings.limits)}
     if settings.several:
         single = _named(planner.single(len(chosen)))
         plain = planner.in_order(single.sweeps)
-        left = [planner.excess(check.expected_sd(plan, readings=readings, sigma=sigma)) for plan in (ordered, plain)]
-        if left[1] < left[0] and duration(cell, plain, readings, settings.limits) <= 60.0 * (options.minutes or np.inf):
-            chosen, ordered = single, plain
-
-    expected = {
-        "before": check.expected_sd(None),
-        "plan": check.expected_sd(ordered, readings=readings, sigma=sigma),
-        "plan, where it was made": ground.expected_sd(ordered, readings=readings, sigma=sigma),
-    }
-    seconds = {"plan": duration(cell, ordered, readings, settings.limits)}
+        others["single joints"] = planner.left(plain, check)
+        seconds["single joints"] = duration(cell, plain, readings, settings.limits)
+        fits = seconds["single joints"] <= 60.0 * (options.minutes or np.inf)
+        if fits and planner.excess(others["single joints"]) < planner.excess(planner.left(ordered, check)):
+            chosen, ordered, seconds["plan"] = single, plain, seconds["single joints"]
+    expected = {"before": check.expected_sd(None), "plan": planner.left(ordered, check)}
+    expected |= {"plan, where it was made": planner.left(ordered), **others}
     if options.minutes is not None and seconds["plan"] > 60.0 * options.minutes:
         raise InputError(
             f"{len(ordered)} sweeps that reach the targets take {seconds['plan'] / 60.0:.3g} min, expected at most "
             f"{options.minutes:g}"
         )
-    if plain is not None:
-        expected["single joints"] = check.expected_sd(plain, readings=readings, sigma=sigma)
-        seconds["single joints"] = duration(cell, plain, readings, settings.limits)
     if papers is not None:
         for name, often in (("paper", 1), ("paper, midpoints", 2)):
             expected[name] = check.expected_sd(papers, readings=often, sigma=sigma)
             seconds[name] = duration(cell, papers, often, settings.limits)
+    if targets and planner.excess(expected["plan"]) > 1.0:
+        warnings.append(planner.unreached(expected["plan"], len(ordered)))
     warnings += shortfalls(check, ordered, readings=readings, sigma=sigma)
     if ground.machine is not None:
-        warnings += _uncovered(cell, ground, ordered)
+        warnings += _uncovered(cell, ground, [ordered, *first])
     elif cell.mechanics is not None:
         warnings.append("the estimate knows nothing of the cell's mechanics: the expected sd are of a perfect one")
     if ground.goals.dropped:
@@ -159,7 +158,8 @@ def _plan(
             if not targets:
                 # The paper's sweeps are held to the same draws.
                 of, other = "paper", max(expected["plan"][task] / sd for task, sd in expected["paper"].items())
-            parts.append(f"worst task: {made:.2f} of the {of} expected, {other:.2f} on draws not planned for")
+            judged = f", {other:.2f} on draws not planned for" if len(ground.goals.values) > 1 else ""
+            parts.append(f"worst task: {made:.2f} of the {of} expected{judged}")
     if frontier is not None:
         knee = f"knee of the frontier: {frontier.points[frontier.knee].sweeps} sweeps"
         parts.append(f"{knee}, farthest from the straight line between its ends in logarithms")
@@ -188,11 +188,11 @@ def _stop(options: argparse.Namespace, cell: Cell, check: Ground, trust: Trust) 
     return 0
 
 
-def _uncovered(cell: Cell, ground: Ground, sweeps: Sweeps) -> list[str]:
+def _uncovered(cell: Cell, ground: Ground, sweeps: list[Sweeps]) -> list[str]:
     """A sentence for each joint that the tasks move farther than the sweeps do."""
     low, high = ground.goals.reach
-    ends = np.stack([sweeps.q_start, sweeps.q_end])
-    beyond = np.maximum(ends.min(axis=(0, 1)) - low, high - ends.max(axis=(0, 1)))
+    ends = np.concatenate([part for each in sweeps for part in (each.q_start, each.q_end)])
+    beyond = np.maximum(ends.min(axis=0) - low, high - ends.max(axis=0))
     return [
         f"q{i + 1}: the tasks go to {low[i] / scale:.3g} .. {high[i] / scale:.3g} {cell.joints[i].unit}, beyond the "
         "sweeps, which do not tell its error motions there"
@@ -248,8 +248,8 @@ def _commission(options: argparse.Namespace, cell: Cell, settings: PlanSettings)
     return 0
 
 
-def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple[Ground, Ground, Trust]:
-    """What the plan is made on, what it is judged on, and what is held against what is known."""
+def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple[Ground, Ground, Trust, list[Sweeps]]:
+    """What the plan is made on and judged on, what is held against what is known, and the sweeps that come first."""
     sigma, common = options.sigma_nm * 1e-3, {"tasks": tasks, "radius": options.radius_um}
     first: Sweeps | None = None
     if options.after is not None:
@@ -257,7 +257,8 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple
         first = first.take(first.kind != "path")
         if len(first) == 0:
             raise InputError(f"{options.after}: every row is of kind path, expected at least one sweep")
-    estimate = None
+    estimate, before = None, [] if first is None else [first]
+    extra = [*before]
     if options.purpose == "extrinsic":
         if options.estimate is None:
             raise InputError("--for extrinsic: expected --estimate ESTIMATE, what is known of the cell")
@@ -269,17 +270,16 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple
     if estimate is not None:
         grounds = [estimate_ground(estimate, **common)] * 2
     elif first is not None and first.measured:
-        estimate, measured, first = measured_estimate(cell, first), first, None
-        grounds = [measured_ground(estimate, measured, draws=n, seed=number, **common) for n, number in draws]
+        estimate, extra = measured_estimate(cell, first), []
+        grounds = [measured_ground(estimate, first, draws=n, seed=number, **common) for n, number in draws]
     else:
         grounds = [prior_ground(cell, draws=n, seed=number, **common) for n, number in draws]
-    extra = [] if first is None else [first]
     if options.absolute:
         at = np.zeros((1, len(cell.joints)))
         extra.append(Sweeps.of_um_rad(at, at, kind="absolute", sigma=cell.wavelength / 8.0, label="absolute length"))
     for part in extra:
         grounds = [ground.with_known(part, sigma) for ground in grounds]
-    return grounds[0], grounds[1], Trust() if estimate is None else estimate.trust
+    return grounds[0], grounds[1], Trust() if estimate is None else estimate.trust, before
 
 
 def _targets(text: str | None) -> dict[str, float]:
@@ -299,10 +299,7 @@ def _targets(text: str | None) -> dict[str, float]:
 def _tasks(options: argparse.Namespace, targets: dict[str, float], cell: Cell) -> list[str]:
     if options.tasks is None:
         return list(targets or possible_tasks(cell, DEFAULT_TASKS) or possible_tasks(cell))
-    tasks = [name.strip() for name in options.tasks.split(",") if name.strip()]
-    if not tasks:
-        raise InputError("--tasks: expected one task at least")
-    return list(dict.fromkeys(tasks))
+    return [name.strip() for name in options.tasks.split(",") if name.strip()]
 
 
 def _settings(options: argparse.Namespace, cell: Cell) -> PlanSettings:
@@ -319,17 +316,7 @@ def _settings(options: argparse.Namespace, cell: Cell) -> PlanSettings:
 
 
 def _record(options: argparse.Namespace, settings: PlanSettings) -> dict[str, object]:
-    return {
-        "for": options.purpose,
-        "reach": options.reach,
-        "readings": settings.readings,
-        "sigma_nm": options.sigma_nm,
-        "candidates": settings.n_candidates,
-        "coordinated": settings.several,
-        "starts": settings.starts,
-        "crossings": settings.crossings,
-        "iterations": settings.iterations,
-        "draws": options.draws,
-        "seed": settings.seed,
-        "limits": dict(vars(settings.limits)),
-    }
+    asked = {"for": options.purpose, "reach": options.reach, "sigma_nm": options.sigma_nm, "draws": options.draws}
+    used = {name: getattr(settings, name) for name in ("readings", "starts", "crossings", "iterations", "seed")}
+    named = {"candidates": settings.n_candidates, "coordinated": settings.several}
+    return {**asked, **used, **named, "limits": dict(vars(settings.limits))}

@@ -6,7 +6,7 @@ from functools import wraps
 from importlib import import_module
 from inspect import isfunction, signature
 from numbers import Integral, Real
-from types import NoneType, UnionType
+from types import UnionType
 from typing import Any, get_args
 
 from fpcal_bayes.core.errors import InputError
@@ -33,15 +33,11 @@ _PLAIN: dict[Any, str] = {int: "a whole number", float: "a number", Sequence[str
 
 
 def _checked(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, which refuses what is no object of this package, number or names that it asks for, in a sentence.
-
-    Whole numbers of numpy reach it as Python's own, which do not overflow.
-    """
+    """The function, which refuses in one sentence what is none of the objects, numbers and names that it asks for."""
     parameters, wanted = signature(function).parameters, {}
     for name, each in parameters.items():
         kinds = get_args(each.annotation) if isinstance(each.annotation, UnionType) else (each.annotation,)
-        own = [kind for kind in kinds if kind is not NoneType]
-        if (len(own) == 1 and own[0] in _PLAIN) or "fpcal_bayes." in str(each.annotation):
+        if kinds[0] in _PLAIN or "fpcal_bayes." in str(each.annotation):
             wanted[name] = kinds
 
     def read(name: str, value: Any) -> Any:
@@ -51,6 +47,7 @@ def _checked(function: Callable[..., Any]) -> Callable[..., Any]:
             raise InputError(f"{function.__name__}: {name} is of type {type(value).__name__}, expected {expected}")
         if name == "seed" and value is not None and value < 0:
             raise InputError(f"{function.__name__}: seed {value}: expected zero or more")
+        # Numpy's whole numbers become Python's own, which do not overflow.
         return int(value) if kinds[0] is int and value is not None else value
 
     @wraps(function)
@@ -62,12 +59,10 @@ def _checked(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _fits(value: Any, kind: Any) -> bool:
-    if kind in _PLAIN and isinstance(value, bool):
-        return False
-    if kind is int:
-        return isinstance(value, Integral)
-    if kind is float:
-        return isinstance(value, Real) or getattr(value, "ndim", None) == 0
     if kind == Sequence[str]:
         return isinstance(value, Collection) and not isinstance(value, str) and all(isinstance(v, str) for v in value)
+    if kind is float and getattr(value, "ndim", None) == 0:
+        return True
+    if kind in _PLAIN:
+        return isinstance(value, Integral if kind is int else Real) and not isinstance(value, bool)
     return not isinstance(kind, type) or isinstance(value, kind)

@@ -122,9 +122,7 @@ class Forecaster:
             find_task(model.cell, vector, name, radius=goal.radius_um, n_points=count).within_turns()
             for name, count in zip(goal.tasks, counts, strict=True)
         ]
-        poses = np.vstack(
-            [tasks[0].start, *(task.q[[0, len(task) // 2, -1]] for task in tasks if task.name != "circle")]
-        )
+        poses = np.vstack([tasks[0].start, *(t.q[[0, len(t) // 2, -1]] for t in tasks if t.name != "circle")])
         found = [_held(drift, model, goal, name, task, mean) for name, task in zip(goal.tasks, tasks, strict=True)]
         jacobian = np.vstack([rows for rows, _ in found])
         new = np.vstack([each for _, each in found if each is not None]) if machine else None

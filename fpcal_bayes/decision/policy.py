@@ -71,10 +71,8 @@ class _Pool:
         goals, count = {name: jacobian[None] for name, jacobian in tasks.items()}, min(n, len(self.candidates))
         # The mean variance along the paths: the worst point alone would leave the slower directions to drift. Without
         # exchange each sweep is the best after those before it, as a session may end after any.
-        chosen = choose_sweeps(
-            self.candidates, self.rows, goals, count, covariance=covariance, mean=True, passes=passes
-        )  # fmt: skip
-        return chosen.sweeps
+        chosen = choose_sweeps(self.rows, goals, count, covariance, mean=True, passes=passes)
+        return self.candidates.take(np.array(chosen))
 
 
 @dataclass(frozen=True)

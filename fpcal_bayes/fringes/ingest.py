@@ -375,6 +375,4 @@ def _gain(index: TraceIndex, full_scale: float | None) -> list[str]:
     used = max((float(trace.irradiance.max()) for trace in index.traces if len(trace)), default=np.inf)
     if full_scale is None or not 0.0 < used < _LITTLE * full_scale:
         return []
-    return [
-        f"the light reaches {used:.3g} V of {full_scale:g} V: raise the gain by {0.9 * full_scale / used:.2g} times"
-    ]
+    return [f"the light reaches {used:.3g} V of {full_scale:g} V: raise the gain {0.9 * full_scale / used:.2g} times"]

@@ -100,9 +100,7 @@ def default_truth(cell: Cell, seed: int) -> Truth:
     with contextlib.suppress(InputError):
         paper = paper_truth(cell)
         priors = [cell.parameters[name] for name in paper.parameters.names]
-        scores = [
-            abs(value - p.nominal) / p.prior_sd for value, p in zip(paper.values[0], priors, strict=True) if p.prior_sd
-        ]
+        scores = [abs(v - p.nominal) / p.prior_sd for v, p in zip(paper.values[0], priors, strict=True) if p.prior_sd]
         if max(scores) < _FAR:
             return paper
     drawn = np.random.default_rng([seed, _DRAWN]).standard_normal(len(cell.free))

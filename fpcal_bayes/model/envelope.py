@@ -140,7 +140,7 @@ def require_within_envelope(
         if in_turn(cell, moved):
             names = ", ".join(f"q{i + 1}" for i in np.flatnonzero(moved))
             what = (
-                f"moves {names} at once, which [envelope] together does not allow: move them in turn, or name the group"
+                f"moves {names} at once, which [envelope] together does not allow: move one by one, or name the group"
             )
             raise located(file, what, row=row + 1 if rows is None else rows[row])
     for row, what in breaches(model, draws, sweep_path(cell, q_start, q_end), exact=exact).items():

@@ -81,7 +81,7 @@ class Task:
     def within_turns(self) -> "Task":
         """As `driven`; where joints that turn alone keep every point away, as far as these turn."""
         low, high = (
-            np.where(self.cell.revolute, end, far) for end, far in ((self.cell.low, -np.inf), (self.cell.high, np.inf))
+            np.where(self.cell.revolute, a, b) for a, b in ((self.cell.low, -np.inf), (self.cell.high, np.inf))
         )
         q, start = np.clip(self.q, low, high), np.clip(self.start, low, high)
         if self.ok.any() or not self.finite.all() or (q < self.cell.low).any() or (q > self.cell.high).any():
@@ -181,9 +181,7 @@ def possible_tasks(cell: Cell, names: Sequence[str] | None = None) -> tuple[str,
         return tuple(names)
     vector = cell.parameters.nominal
     few = {name: task_path(cell, vector, name, n_points=8).status for name in names if name in TASKS}
-    return tuple(
-        name for name in names if name not in few or not any(text.startswith("out of reach") for text in few[name])
-    )
+    return tuple(name for name in names if not any(text.startswith("out of reach") for text in few.get(name, ())))
 
 
 def user_path(cell: Cell, vector: Floats, path: str | Path) -> Task:

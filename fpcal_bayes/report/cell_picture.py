@@ -81,9 +81,7 @@ def _draw_optics(axis: Axes, place: Floats, view: CellView) -> None:
     # Beside the disc, on the side that the arrow points to.
     side = float(np.sign(np.round(normal[0] - place[0], 1)))
     words = {1.0: "left", -1.0: "right"}.get(side, "center")
-    axis.text(
-        normal[0] - 0.1 * side, normal[1] + 0.14, "normal", color=GREEN, fontsize=9, ha=words, va="bottom", zorder=7
-    )
+    axis.text(normal[0] - 0.1 * side, normal[1] + 0.14, "normal", color=GREEN, size=9, ha=words, va="bottom", zorder=7)
     # A fibre above or below has less room, and words beside it.
     upright = abs(float((_PAGE @ seen.light)[1])) > 0.7
     room = 0.6 if upright else 1.0

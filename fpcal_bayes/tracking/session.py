@@ -161,9 +161,7 @@ class _Judge:
             aside = used.with_measurement(as_it_is.measurement.target, sigma)
             judged = self.judged(SweepMeasurement.of(self.drift, judged.measurement.model, aside, self.predicted.mean))
             if not judged.found:
-                return judged, [
-                    f"read far off, where no change of the cell would put it, and left out: {', '.join(left)}"
-                ]
+                return judged, [f"read far off, where no change of the cell puts it, and left out: {', '.join(left)}"]
         return as_it_is, []
 
     def explain(

@@ -75,9 +75,7 @@ def controllers(cell: Cell) -> list[NDArray[np.int64]]:
     if cell.envelope is None:
         return [np.array(positions) for positions in by_name.values()]
     alone = [(i,) for i in range(len(cell.joints))]
-    shared = {
-        tuple(sorted(set(p) & set(group))) for p in by_name.values() for group in (*cell.envelope.together, *alone)
-    }
+    shared = {tuple(sorted(set(p) & set(g))) for p in by_name.values() for g in (*cell.envelope.together, *alone)}
     # Of groups that overlap only the larger counts.
     kept: list[tuple[int, ...]] = []
     for group in sorted(shared, key=lambda group: (-len(group), group)):

@@ -180,9 +180,7 @@ class _Space:
     def tilt_slopes(self, x: Floats) -> Floats:
         """Derivatives of the tilts by the coordinates, shape (2 n_sweeps, n_coordinates)."""
         sweeps, n_joints = self.sweeps(x), len(self.width)
-        further = np.stack([sweeps.q_start, sweeps.q_end])[:, :, None] + np.vstack(
-            [np.zeros(n_joints), np.diag(self.steps)]
-        )
+        further = np.stack([sweeps.q_start, sweeps.q_end])[:, :, None] + np.eye(n_joints + 1, n_joints, -1) * self.steps
         found = tilts(self.model, self.values, further.reshape(-1, n_joints)).reshape(*further.shape[:3])
         by_joint = (found[..., 1:] - found[..., :1]) / _STEP
         slopes = np.zeros((2, len(self.plan), x.size))

@@ -18,7 +18,7 @@ def greedy(criterion: Criterion, n: int, chosen: tuple[int, ...] = ()) -> tuple[
     """Add candidates to those chosen, each time the best one, until there are `n`."""
     found = list(chosen)
     while len(found) < n:
-        values = criterion.if_added(found, None)
+        values = criterion.if_added(found)
         values[found] = np.inf
         found.append(int(np.argmin(values)))
     return tuple(found)
@@ -30,7 +30,7 @@ def exchange(criterion: Criterion, chosen: tuple[int, ...], *, passes: int = 5) 
     places = list(range(len(found)))
     for place in places * passes:
         others = found[:place] + found[place + 1 :]
-        values = criterion.if_added(others, None)
+        values = criterion.if_added(others)
         values[others] = np.inf
         winner = int(np.argmin(values))
         unchanged += 1
@@ -45,8 +45,8 @@ def most_useful_first(criterion: Criterion, chosen: tuple[int, ...]) -> tuple[in
     """The chosen candidates in the order in which a greedy search among them alone takes them."""
     found: list[int] = []
     while len(found) < len(chosen):
-        rest = [index for index in chosen if index not in found]
-        found.append(rest[int(np.argmin(criterion.if_added(found, np.array(rest, dtype=np.int64))))])
+        values, rest = criterion.if_added(found), [index for index in chosen if index not in found]
+        found.append(rest[int(np.argmin(values[rest]))])
     return tuple(found)
 
 
@@ -65,40 +65,30 @@ class ChosenSweeps:
 
     def first(self, n: int) -> "ChosenSweeps":
         """The `n` most useful of them."""
-        sds = {task: sd[: n + 1] for task, sd in self.sd.items()}
-        return ChosenSweeps(self.indices[:n], self.sweeps.take(np.arange(n)), sds)
+        sd = {task: sd[: n + 1] for task, sd in self.sd.items()}
+        return ChosenSweeps(self.indices[:n], self.sweeps.take(np.arange(n)), sd)
 
 
 def choose_sweeps(
-    candidates: Sweeps,
-    rows: Floats,
-    tasks: Mapping[str, Floats],
-    n: int,
-    *,
-    covariance: Floats | None = None,
-    tolerances: Mapping[str, float] | None = None,
-    mean: bool = False,
-    passes: int = 5,
-) -> ChosenSweeps:
-    """Choose sweeps that leave least unknown of the tasks; the same for the same arguments, for nothing is drawn.
+    rows: Floats, tasks: Mapping[str, Floats], n: int, covariance: Floats, *, mean: bool = False, passes: int = 5
+) -> tuple[int, ...]:
+    """Positions of the `n` candidates that leave least unknown of the tasks, the most useful first.
 
-    `candidates` are whole sweeps and `rows` their whitened rows by the state, shape (n_draws, n_candidates, readings,
-    n), as from `sweep_rows`. `tasks` are derivatives of each task's points by the state in um, shape (n_draws or 1,
-    n_points, n). `covariance` (n, n) is that of the state as it is known now, by default the identity.
-
-    Each task is judged by its standard deviation over that in `tolerances`, in um, by default all alike, at the worst
-    task's worst point or with `mean` averaged. Without `passes` of the exchange sweeps are taken greedily. `InputError`
-    if there are fewer candidates than the `n` wanted, no task, or a tolerance of an unknown one.
+    `rows` are whitened, by the state, shape (n_draws, n_candidates, readings, n_state), as from `sweep_rows`; `tasks`
+    the derivatives of each task's points in um, shape (n_draws or 1, n_points, n_state), and `covariance` (n_state,
+    n_state) that of the state as it is known now. The worst task's worst point counts, or with `mean` all alike.
+    Without `passes` of the exchange candidates are taken greedily. `InputError` if there are fewer than `n`.
     """
-    if not 1 <= n <= len(candidates):
-        raise InputError(f"{n} sweeps out of {len(candidates)} candidates: expected 1 to {len(candidates)}")
-    reference = reference_of(tuple(tasks), tolerances)
-    design = Design.of(rows, tasks, covariance)
-    judge = Criterion(design, reference, mean)
+    require_possible(n, rows.shape[1])
+    judge = Criterion(Design.of(rows, tasks, covariance), np.ones(len(tasks)), mean)
     chosen = greedy(judge, n)
-    if passes:
-        chosen = most_useful_first(judge, exchange(judge, chosen, passes=passes))
-    return chosen_sweeps(design, candidates, chosen)
+    return most_useful_first(judge, exchange(judge, chosen, passes=passes)) if passes else chosen
+
+
+def require_possible(n: int, count: int) -> None:
+    """`InputError` if `n` sweeps cannot be chosen among so many."""
+    if not 1 <= n <= count:
+        raise InputError(f"{n} sweeps out of {count} candidates: expected 1 to {count}")
 
 
 def chosen_sweeps(design: Design, candidates: Sweeps, chosen: tuple[int, ...]) -> ChosenSweeps:
@@ -110,8 +100,6 @@ def chosen_sweeps(design: Design, candidates: Sweeps, chosen: tuple[int, ...]) -
 
 def reference_of(names: tuple[str, ...], tolerances: Mapping[str, float] | None) -> Floats:
     """Standard deviation that each task is judged by, in um, shape (n_tasks,); `InputError` if one is unknown."""
-    if not names:
-        raise InputError("no task to plan for: expected one at least")
     if tolerances is None:
         return np.ones(len(names))
     for name in tolerances:

@@ -40,9 +40,7 @@ class Design:
         `covariance` (n, n) before any measurement may be singular; by default it is the identity.
         """
         n_draws, n = len(rows), rows.shape[-1]
-        points = np.concatenate(
-            [np.broadcast_to(jacobian, (n_draws, *jacobian.shape[1:])) for jacobian in tasks.values()], axis=1
-        )
+        points = np.concatenate([np.broadcast_to(j, (n_draws, *j.shape[1:])) for j in tasks.values()], axis=1)
         of_point = np.repeat(np.arange(len(tasks)), [jacobian.shape[1] for jacobian in tasks.values()])
         if covariance is not None:
             root = covariance_root(covariance, eigh=linalg.eigh)
@@ -74,31 +72,27 @@ class Design:
         n_draws, n, n_tasks, key = len(self.rows), self.n_parameters, len(self.names), tuple(chosen)
         if key not in self._left:
             variance, directions = np.empty((n_draws, n_tasks)), np.empty((n_draws, n_tasks, n))
-            rows = self.rows[:, list(key)].reshape(n_draws, -1, n)
-            if rows.shape[1] < _FEW * n:
-                variance, directions = self._worst_points_of_few(rows)
-            else:
+            told, rows = self._told(key), self.rows[:, list(key)].reshape(n_draws, -1, n)
+            if told is None:
                 worst_points(self.information, rows, self.tasks, self.task_start, variance, directions)
+            else:
+                seen = self.tasks @ told.transpose(0, 2, 1)
+                after = (self.tasks**2).sum(axis=-1) - (seen**2).sum(axis=-1)
+                parts = np.split(after, self.task_start[1:-1], axis=1)
+                worst = np.stack([part.argmax(axis=1) for part in parts], axis=1) + self.task_start[:-1]
+                variance = np.take_along_axis(after, worst, axis=1)
+                points, seen = (np.take_along_axis(part, worst[..., None], axis=1) for part in (self.tasks, seen))
+                directions = points - seen @ told
             self._left.clear()
             self._left[key] = variance, directions
         return self._left[key]
 
-    def _worst_points_of_few(self, rows: Floats) -> tuple[Floats, Floats]:
-        """As `worst_points` after few rows (n_draws, n_rows, n), by a system of their number (Woodbury)."""
-        tasks = self.tasks
-        root = None if self.base is None else np.linalg.inv(self.base)
-        if root is not None:
-            rows, tasks = rows @ root, tasks @ root
-        factor = np.linalg.cholesky(np.eye(rows.shape[1]) + rows @ rows.transpose(0, 2, 1))
-        seen = np.linalg.solve(factor, rows @ tasks.transpose(0, 2, 1))
-        variance = (tasks**2).sum(axis=-1) - (seen**2).sum(axis=1)
-        parts = np.split(variance, self.task_start[1:-1], axis=1)
-        worst = np.stack([part.argmax(axis=1) for part in parts], axis=1) + self.task_start[:-1]
-        told = np.linalg.solve(factor.transpose(0, 2, 1), np.take_along_axis(seen, worst[:, None], axis=2))
-        directions = np.take_along_axis(tasks, worst[..., None], axis=1) - told.transpose(0, 2, 1) @ rows
-        if root is not None:
-            directions = directions @ root.transpose(0, 2, 1)
-        return np.take_along_axis(variance, worst, axis=1), directions
+    def _told(self, chosen: Sequence[int]) -> Floats | None:
+        """Root of what few rows take off the identity (Woodbury), (n_draws, n_rows, n); None where rows are many."""
+        rows = self.rows[:, list(chosen)].reshape(len(self.rows), -1, self.n_parameters)
+        if self.base is not None or rows.shape[1] >= _FEW * self.n_parameters:
+            return None
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(np.eye(rows.shape[1]) + rows @ rows.swapaxes(1, 2))) @ rows)
 
     @cached_property
     def information(self) -> Floats:
@@ -118,28 +112,23 @@ class Design:
         of_task = [variance[:, self.task_of_point == task] for task in range(len(self.names))]
         return np.array([(part.max(axis=1) if worst else part.mean(axis=1)).mean() for part in of_task])
 
-    def if_added(self, chosen: Sequence[int], among: Ints | None = None, *, worst: bool = True) -> Floats:
-        """Task variances, um^2, if each candidate `among` all joined, (n, n_tasks): of `worst` points or means."""
-        rows = self.rows if among is None else self.rows[:, among]
-        n_draws, n_candidates, k, n = rows.shape
-        left, one = np.zeros((n_candidates, len(self.names))), np.tile(np.eye(k), (n_candidates, 1, 1))
-        added = self.rows[:, list(chosen)].reshape(n_draws, -1, n)
-        few = self.base is None and added.shape[1] < _FEW * n
-        information = added @ added.transpose(0, 2, 1) if few else added.transpose(0, 2, 1) @ added
-        information += np.eye(added.shape[1]) if few else self.information
-        roots = np.linalg.inv(np.linalg.cholesky(information))
-        for draw, root in enumerate((roots @ added if few else roots).transpose(0, 2, 1)):
-            points, scaled = self.tasks[draw] @ root, rows[draw].reshape(-1, n) @ root
-            products, variances = (scaled @ points.T).reshape(n_candidates, k, -1), (points**2).sum(axis=1)
-            noise, sign = one, 1.0
+    def if_added(self, chosen: Sequence[int], *, worst: bool = True) -> Floats:
+        """Task variances, um^2, if each candidate joined those chosen, (n_candidates, n_tasks): `worst` or mean."""
+        n_draws, n_candidates, k, n = self.rows.shape
+        left, roots = np.zeros((n_candidates, len(self.names))), self._told(chosen)
+        few = roots is not None
+        if roots is None:
+            added = self.rows[:, list(chosen)].reshape(n_draws, -1, n)
+            roots = np.linalg.inv(np.linalg.cholesky(self.information + added.transpose(0, 2, 1) @ added))
+        for draw, root in enumerate(roots.transpose(0, 2, 1)):
+            points, seen = self.tasks[draw] @ root, self.rows[draw].reshape(-1, n) @ root
+            products, variances = (seen @ points.T).reshape(n_candidates, k, -1), (points**2).sum(axis=1)
+            noise = np.tile(np.eye(k), (n_candidates, 1, 1))
             if few:
-                # What few rows tell comes off what is unknown before them (Woodbury).
                 alone, noise, before = (part[draw] for part in self._alone)
-                chosen_too = slice(None) if among is None else among
-                products, noise, variances = alone[chosen_too] - products, noise[chosen_too], before - variances
-                sign = -1.0
-            seen = scaled.reshape(n_candidates, k, -1)
-            add_left(noise, seen, sign, products, variances, self.task_start, worst, left)
+                products, variances = alone - products, before - variances
+            seen = seen.reshape(n_candidates, k, -1)
+            add_left(noise, seen, -1.0 if few else 1.0, products, variances, self.task_start, worst, left)
         return np.asarray(left / n_draws)
 
     @cached_property
@@ -165,9 +154,9 @@ class Criterion:
             return float(self._merit(self.design.expected_variance(chosen, worst=False)))
         return float(self._merit(self.design.worst_points(chosen)[0].mean(axis=0)))
 
-    def if_added(self, chosen: Sequence[int], among: Ints | None = None) -> Floats:
-        """The criterion if each candidate, of all or those at given positions, were added to those chosen, (n,)."""
-        return np.asarray(self._merit(self.design.if_added(chosen, among, worst=not self.mean)))
+    def if_added(self, chosen: Sequence[int]) -> Floats:
+        """The criterion if each candidate were added to those chosen, shape (n_candidates,)."""
+        return np.asarray(self._merit(self.design.if_added(chosen, worst=not self.mean)))
 
     def slope(self, chosen: Sequence[int]) -> Floats:
         """Derivative of the worst task's value by the rows of those chosen, shape (n_draws, len(chosen), k, n)."""

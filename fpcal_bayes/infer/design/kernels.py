@@ -15,27 +15,20 @@ from fpcal_bayes.model.kernels.compile import compiled
 
 @compiled
 def add_left(
-    noise: Floats,
-    rows: Floats,
-    sign: float,
-    products: Floats,
-    variances: Floats,
-    task_start: Ints,
-    worst: bool,
-    left: Floats,
+    noise: Floats, rows: Floats, sign: float, products: Floats, left_of: Floats, starts: Ints, worst: bool, left: Floats
 ) -> None:
     """Add up, over the draws, the task variances that each candidate would leave, in `left` (n_candidates, n_tasks).
 
     noise, rows, sign: of each candidate S = noise + sign rows rows', shapes (n_candidates, k, k) and (.., k, n).
-    products: W V', shape (n_candidates, k, n_points); overwritten. variances: present ones, shape (n_points,).
-    task_start: where the points of each task start, and where the last ends, shape (n_tasks + 1,).
+    products: W V', shape (n_candidates, k, n_points); overwritten. left_of: variances now, shape (n_points,).
+    starts: where the points of each task start, and where the last ends, shape (n_tasks + 1,).
     worst: take the worst point of a task, else the mean over its points.
     """
     n_candidates, k, n = rows.shape
-    n_points = variances.size
+    n_points = left_of.size
     factor, value = np.empty((k, k)), np.empty(n_points)
     for c in range(n_candidates):
-        value[:] = variances
+        value[:] = left_of
         for i in range(k):
             for j in range(i + 1):
                 total = 0.0
@@ -53,8 +46,8 @@ def add_left(
             for p in range(n_points):
                 products[c, i, p] *= scale
                 value[p] -= products[c, i, p] * products[c, i, p]
-        for task in range(task_start.size - 1):
-            first, last = task_start[task], task_start[task + 1]
+        for task in range(starts.size - 1):
+            first, last = starts[task], starts[task + 1]
             total = 0.0
             for p in range(first, last):
                 total = max(total, value[p]) if worst else total + value[p]
@@ -62,20 +55,18 @@ def add_left(
 
 
 @compiled
-def worst_points(
-    information: Floats, rows: Floats, tasks: Floats, task_start: Ints, variance: Floats, directions: Floats
-) -> None:
+def worst_points(base: Floats, rows: Floats, tasks: Floats, starts: Ints, variance: Floats, directions: Floats) -> None:
     """Worst point of each task at each draw after rows, by the Cholesky factor of the information.
 
-    information: before the rows, shape (n_draws, n, n).
-    rows, tasks, task_start: shapes (n_draws, n_rows, n), (n_draws, n_points, n), and as of `add_left`.
+    base, rows, tasks: the information before the rows (n_draws, n, n), shapes (.., n_rows, n) and (.., n_points, n).
+    starts: as of `add_left`.
     variance, directions: written, the worst point's (n_draws, n_tasks), and covariance times its derivatives (.., n).
     """
     n_draws, n_rows, n = rows.shape
     n_points = tasks.shape[1]
     upper, seen, total = np.empty((n, n)), np.empty((n, n_points)), np.empty(n_points)
     for d in range(n_draws):
-        upper[:] = information[d]
+        upper[:] = base[d]
         for r in range(n_rows):
             row = rows[d, r]
             for i in range(n):
@@ -98,9 +89,9 @@ def worst_points(
                     upper[i, j] -= share * upper[k, j]
                 for p in range(n_points):
                     seen[i, p] -= share * seen[k, p]
-        for task in range(task_start.size - 1):
-            worst = task_start[task]
-            for p in range(task_start[task], task_start[task + 1]):
+        for task in range(starts.size - 1):
+            worst = starts[task]
+            for p in range(starts[task], starts[task + 1]):
                 if total[p] > total[worst]:
                     worst = p
             variance[d, task] = total[worst]

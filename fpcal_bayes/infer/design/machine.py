@@ -78,9 +78,8 @@ class Machine:
 
     def whitened(self, sweeps: Sweeps, geometry: Floats) -> Floats:
         """Rows of a plan as driven, in their order, by the state, with what `geometry` (n_draws, n_rows, n) adds."""
-        made = design(
-            self.terms, self.vector, drive_of_sweeps(sweeps, self.terms.sizes.minutes_per_sweep), sweeps.sigma
-        )
+        drive = drive_of_sweeps(sweeps, self.terms.sizes.minutes_per_sweep)
+        made = design(self.terms, self.vector, drive, sweeps.sigma)
         base: Whitening = RowNoise.of(sweeps, made).whitening()
         shared = made.motion_count
         whitening = MarginalWhitening.around(base, made.matrix[:, shared:])

@@ -27,10 +27,8 @@ def in_short_order(cell: Cell, sweeps: Sweeps) -> Sweeps:
         if change[i, j] > -1e-9:
             break
         order[i : j + 1], turned[i : j + 1] = order[i : j + 1][::-1].copy(), 1 - turned[i : j + 1][::-1]
-    ordered = sweeps.take(order)
-    return Sweeps.of_um_rad(
-        ends[turned, order], ends[1 - turned, order], label=ordered.label.tolist(), file=sweeps.file
-    )
+    labels = sweeps.label[order].tolist()
+    return Sweeps.of_um_rad(ends[turned, order], ends[1 - turned, order], label=labels, file=sweeps.file)
 
 
 def duration(cell: Cell, sweeps: Sweeps, readings: int, limits: SweepLimits) -> float:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from fpcal_bayes.infer.design.exchange import (
     greedy,
     most_useful_first,
     reference_of,
+    require_possible,
 )
 from fpcal_bayes.infer.design.information import Criterion
 from fpcal_bayes.infer.design.order import duration, in_short_order
@@ -102,13 +104,9 @@ class Planner:
         self.settings = settings = replace(settings, limits=settings.limits.within_envelope(ground.model, ground.draws))
         self._tolerances = tolerances
         self.reference = reference_of(tuple(ground.goals.jacobians), tolerances)
+        rng, limits, several = np.random.default_rng(settings.seed), settings.limits, settings.several
         self.candidates = candidate_sweeps(
-            ground.cell,
-            n=settings.n_candidates,
-            rng=np.random.default_rng(settings.seed),
-            values=self._centre,
-            limits=settings.limits,
-            several=settings.several,
+            ground.cell, n=settings.n_candidates, rng=rng, values=self._centre, limits=limits, several=several
         )
 
     @property
@@ -122,6 +120,10 @@ class Planner:
         design = (ground or self.ground).design(sweeps, readings=settings.readings, sigma=settings.sigma)
         return Criterion(design, self.reference)
 
+    def left(self, sweeps: Sweeps, ground: Ground | None = None) -> dict[str, float]:
+        """What sweeps in their order leave of each task, in um, by default where plans are made."""
+        return (ground or self.ground).expected_sd(sweeps, readings=self.settings.readings, sigma=self.settings.sigma)
+
     def value(self, sweeps: Sweeps, ground: Ground | None = None) -> float:
         """The criterion after sweeps in their order."""
         design = (ground or self.ground).driven(sweeps, readings=self.settings.readings, sigma=self.settings.sigma)
@@ -133,10 +135,7 @@ class Planner:
         Where joints may move together the plan of `single` joints is given if it leaves less on `check`.
         """
         settings, n_draws = self.settings, len(self.ground.goals.values)
-        if not 1 <= n <= len(self.candidates):
-            raise InputError(
-                f"{n} sweeps out of {len(self.candidates)} candidates: expected 1 to {len(self.candidates)}"
-            )
+        require_possible(n, len(self.candidates))
         tries, alone = settings.starts + settings.crossings * bool(settings.iterations), sum(_SHORT) * settings.several
         # In descents of `_STARTED` steps on `share` draws.
         work = np.cumsum([alone, tries, 1.0 * _WIDER, settings.iterations / _STARTED * n_draws / settings.share])
@@ -151,23 +150,21 @@ class Planner:
             begin = self._crossed(n, found, ground) if number >= settings.starts else self._start(n, number)
             found.append(self._descended(begin, ground, _STARTED))
             begun(0, (number + 1) / tries)
-        best = self._joined(
-            found if single is None else [*found, single.sweeps], self._part(0, _WIDER * settings.share)
-        )
+        every = found if single is None else [*found, single.sweeps]
+        best = self._joined(every, self._part(0, _WIDER * settings.share))
         begun(1, 1.0)
         refined = self.refined(best, lambda share: begun(2, share))
-        return refined if single is None else min((single, refined), key=lambda plan: self._left(plan, check))
+        return (
+            refined
+            if single is None
+            else min((single, refined), key=lambda plan: self.excess(self.left(plan.sweeps, check)))
+        )
 
     def single(self, n: int, tell: Callable[[float], None] = lambda _: None) -> ChosenSweeps:
         """The best n sweeps of single joints that a short search finds; searched once."""
         if n not in self._singles:
             self._singles[n] = self.short(False, tell).best(n)
         return self._singles[n]
-
-    def _left(self, plan: ChosenSweeps, check: Ground | None) -> float:
-        """The worst task over what it is judged by, on `check` or where the plan is made."""
-        design = self.judge(plan.sweeps, check).design
-        return self.excess(dict(zip(design.names, np.sqrt(design.expected_variance(range(len(plan)))), strict=True)))
 
     def _start(self, n: int, number: int) -> Sweeps:
         """The best of a part of the candidates: one by one, then each again beside the others."""
@@ -211,17 +208,10 @@ class Planner:
     def _descended(
         self, sweeps: Sweeps, ground: Ground, steps: int, tell: Callable[[float], None] = lambda _: None
     ) -> Sweeps:
-        settings = self.settings
-        return descend(
-            sweeps,
-            lambda plan: self.judge(plan, ground),
-            ground.sweep_rows(settings.readings, settings.sigma),
-            self._centre,
-            settings.limits,
-            several=settings.several,
-            iterations=min(steps, settings.iterations),
-            tell=tell,
-        )
+        settings, judge = self.settings, partial(self.judge, ground=ground)
+        rows, most = ground.sweep_rows(settings.readings, settings.sigma), min(steps, settings.iterations)
+        space = self._centre, settings.limits
+        return descend(sweeps, judge, rows, *space, several=settings.several, iterations=most, tell=tell)
 
     def in_order(self, sweeps: Sweeps, file: object = "plan") -> Sweeps:
         """Sweeps in a short order within the envelope; one turns round if lost motion then shows."""
@@ -276,8 +266,8 @@ class Planner:
         numbers = [n for n in _NUMBERS if n < most] + [most]
         for done, n in enumerate(numbers):
             plan = short.in_order(short.best(n, check).sweeps)
-            sd = check.expected_sd(plan, readings=settings.readings, sigma=settings.sigma)
-            points.append(Point(n, duration(self.ground.cell, plan, settings.readings, settings.limits), sd))
+            seconds = duration(self.ground.cell, plan, settings.readings, settings.limits)
+            points.append(Point(n, seconds, self.left(plan, check)))
             tell((done + 1) / len(numbers))
         return Frontier(tuple(points), tuple(self.excess(point.sd) for point in points))
 
@@ -287,17 +277,13 @@ class Planner:
 
     def excess(self, sd: Mapping[str, float]) -> float:
         """The largest ratio of a task's standard deviation to what it is judged by."""
-        return max(
-            sd[name] / float(limit) for name, limit in zip(self.ground.goals.jacobians, self.reference, strict=True)
-        )
+        return max(sd[name] / float(of) for name, of in zip(self.ground.goals.jacobians, self.reference, strict=True))
 
-    def fewest(self, *, most: int = 69, check: Ground | None = None) -> ChosenSweeps:
-        """The fewest sweeps found by halving, up to `most`, that keep to the tolerances on `check`, or `InputError`."""
-        check = self.ground if check is None else check
-        readings, sigma = self.settings.readings, self.settings.sigma
+    def fewest(self, *, most: int = 69, check: Ground | None = None, settle: bool = False) -> ChosenSweeps:
+        """The fewest up to `most` that keep to the tolerances on `check`; else `InputError`, or the best (`settle`)."""
 
         def enough(plan: Sweeps) -> bool:
-            return self.excess(check.expected_sd(plan, readings=readings, sigma=sigma)) <= 1.0
+            return self.excess(self.left(plan, check)) <= 1.0
 
         chosen: tuple[int, ...] = ()
         criterion = self.judge(self.candidates, self.ground.at_draws(np.arange(min(len(self.ground.goals.values), 16))))
@@ -309,7 +295,9 @@ class Planner:
         if not enough(best.sweeps):
             best = self.best(len(chosen), check)
         if not enough(best.sweeps):
-            raise self._unreached(len(chosen), check.expected_sd(best.sweeps, readings=readings, sigma=sigma))
+            if settle:
+                return best
+            raise InputError(self.unreached(self.left(best.sweeps, check), len(chosen)))
         too_few, high = 0, len(chosen)
         while high - too_few > 1:
             middle = (too_few + high) // 2
@@ -320,13 +308,14 @@ class Planner:
                 too_few = middle
         return best
 
-    def _unreached(self, n: int, sd: Mapping[str, float]) -> InputError:
+    def unreached(self, sd: Mapping[str, float], n: int) -> str:
+        """A sentence on `n` sweeps, the best that are found, that leave each task `sd` in um and miss a tolerance."""
         missed = [
             f"{name} {1e3 * sd[name]:.3g} nm in place of {1e3 * limit:.3g} nm"
             for name, limit in zip(self.ground.goals.jacobians, self.reference, strict=True)
             if sd[name] > limit
         ]
-        return InputError(f"no plan of up to {n} sweeps reaches the target; the best has {', '.join(missed)}")
+        return f"no plan of up to {n} sweeps reaches the target; the best has {', '.join(missed)}"
 
 
 def plan(

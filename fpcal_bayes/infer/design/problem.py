@@ -1,6 +1,5 @@
 """What a plan starts from: what is known of the cell, where that is linearised, and the tasks that count."""
 
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -184,10 +183,8 @@ class Ground:
         """Worst-point standard deviation of each task in um at each draw, shape (n_draws,) (see `expected_sd`)."""
         design = self.driven(sweeps, readings=readings, sigma=sigma)
         variance = design.task_variance(())
-        return {
-            name: np.sqrt(variance[:, design.task_of_point == task].max(axis=1))
-            for task, name in enumerate(design.names)
-        }
+        of = design.task_of_point
+        return {name: np.sqrt(variance[:, of == i].max(axis=1)) for i, name in enumerate(design.names)}
 
     def driven(self, sweeps: Sweeps | None, *, readings: int, sigma: float) -> Design:
         """What is left after sweeps in their order, with no candidates."""
@@ -210,9 +207,7 @@ class Ground:
     def at_draws(self, chosen: Ints) -> "Ground":
         """The same averaged over some of the draws, by position."""
         goals = self.goals
-        jacobians, motions = (
-            {name: each[chosen] for name, each in part.items()} for part in (goals.jacobians, goals.motions)
-        )
+        jacobians, motions = ({k: v[chosen] for k, v in part.items()} for part in (goals.jacobians, goals.motions))
         goals = replace(goals, values=goals.values[chosen], jacobians=jacobians, motions=motions)
         return replace(self, goals=goals, known=None if self.known is None else self.known[chosen])
 
@@ -237,10 +232,8 @@ def prior_ground(
         raise InputError(f"{draws} draws of what is known: expected one at least")
     if values is None:
         engine = qmc.MultivariateNormalQMC(np.zeros(len(free)), seed=np.random.default_rng(seed))
-        with warnings.catch_warnings():
-            # Balance asks for a power of two; any number of draws serves here.
-            warnings.simplefilter("ignore", UserWarning)
-            values = Prior.of(free).values(engine.random(draws))
+        # The sequence is balanced at powers of two; any number of draws serves here.
+        values = Prior.of(free).values(engine.random(1 << (draws - 1).bit_length())[:draws])
     terms = None if cell.mechanics is None else Terms.of(cell, cell.mechanics, free.names)
     goals = goals_of(model, values, tasks, radius=radius, points=points, terms=terms)
     made = Ground(model, free.nominal, np.diag(free.prior_sd**2), goals)
@@ -300,9 +293,11 @@ def measured_ground(
 
 def shortfalls(ground: Ground, sweeps: Sweeps, *, readings: int = 2, sigma: float = 0.005) -> list[str]:
     """A sentence for each task that the sweeps leave undetermined, with the parameters that make it so."""
-    first, last = (ground.driven(part, readings=readings, sigma=sigma) for part in (None, sweeps))
-    before, after = first.expected_variance(()), last.expected_variance(())
-    variance, roots = last.task_variance(()), last.roots(())
+    last = ground.driven(sweeps, readings=readings, sigma=sigma)
+    # Before any measurement at all: what is known already is not undetermined since more sweeps add little.
+    wide = [jacobian * ground.model.free.prior_sd for jacobian in ground.goals.jacobians.values()]
+    before = [(jacobian**2).sum(axis=-1).max(axis=1).mean() for jacobian in wide]
+    after, variance, roots = last.expected_variance(()), last.task_variance(()), last.roots(())
     own = np.sqrt(np.diag(ground.covariance))
     safe = np.where(own > 0, own, 1.0)
     sentences = []
@@ -319,6 +314,6 @@ def shortfalls(ground: Ground, sweeps: Sweeps, *, readings: int = 2, sigma: floa
         plural = "s leave" if len(sweeps) > 1 else " leaves"
         sentences.append(
             f"{len(sweeps)} sweep{plural} task {name} undetermined: {1e3 * np.sqrt(after[task]):.3g} nm expected, "
-            f"{1e3 * np.sqrt(before[task]):.3g} nm before; what is missing moves {', '.join(names)}"
+            f"{1e3 * np.sqrt(before[task]):.3g} nm before any; what is missing moves {', '.join(names)}"
         )
     return sentences

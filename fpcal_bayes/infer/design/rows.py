@@ -76,8 +76,7 @@ class SweepRows:
         by_pose = by_pose.reshape(len(pulls), self._beams, n_sweeps * places, -1)
         flat, values = poses.reshape(-1, n_joints), self.values[: len(pulls)]
         each_beam = [self.model.joint_pulls(values, flat, by_pose[:, b], b, steps) for b in range(self._beams)]
-        slope: Floats = np.sum(each_beam, axis=0)
-        slope = slope.reshape(poses.shape)
+        slope: Floats = np.sum(each_beam, axis=0).reshape(poses.shape)
         if self.machine is not None:
             further = poses[:, :, None] + np.vstack([np.zeros(n_joints), np.diag(steps)])
             seen = self.machine.seen(further, pulls.sum(axis=0))

@@ -240,7 +240,7 @@ class Comparison:
             sweeps = model.identification.problem.sweeps
             if not (sweeps.signed | sweeps.absolute | (sweeps.group == "")).all():
                 said.append(
-                    f"{model.spec.name}: rows of unknown sign that share a reading have the sign that fits best"
+                    f"{model.spec.name}: rows of unknown sign that share a reading take the sign that fits best"
                 )
         return tuple(said)
 

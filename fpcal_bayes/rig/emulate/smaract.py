@@ -26,9 +26,7 @@ class MCS2(EmulatedController):
 
     def __init__(self, lab: SimulatedCell, axes: dict[int, ControllerAxis]) -> None:
         super().__init__(lab, axes)
-        self._wire = {
-            axis.channel: math.radians(1e-9) if lab.cell.revolute[joint] else 1e-6 for joint, axis in axes.items()
-        }
+        self._wire = {axis.channel: math.radians(1e-9) if lab.cell.revolute[j] else 1e-6 for j, axis in axes.items()}
         self._mode = dict.fromkeys(self._joints, 0)
         self._referenced = dict.fromkeys(self._joints, True)
         self._failed = dict.fromkeys(self._joints, 0)

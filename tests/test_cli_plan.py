@@ -146,6 +146,31 @@ def test_sweeps_that_reach_the_target_need_no_more(capsys: pytest.CaptureFixture
     assert "no sweeps" in capsys.readouterr().out
 
 
+def test_sweeps_that_miss_the_target_come_next_all_the_same(femto: Cell, capsys: pytest.CaptureFixture[str]) -> None:
+    """The best that can be measured next; what is known already is not called undetermined."""
+    asked = ("--after", CASE_A, "--reach", "circle=0.001nm", "--n", 2, *QUICK, "-o", "n.csv", "--json", "n.json")
+    run("plan", *asked)
+    warned = capsys.readouterr().err
+    assert "no plan of up to 2 sweeps reaches the target; the best has circle" in warned
+    assert "undetermined" not in warned
+    content = json.loads(Path("n.json").read_text())
+    assert (content["n_sweeps"], content["should_stop"]) == (2, False)
+    expected = content["expected_sd_nm"]
+    assert expected["plan"]["circle"] <= expected["single joints"]["circle"]
+    assert len(read_sweeps("n.csv", femto, plan=True, whole=True)) == 2
+
+
+def test_the_plan_is_no_worse_than_its_single_joints() -> None:
+    for seed in range(3):
+        run("plan", "--n", 4, *QUICK, "--seed", seed, "-o", "p.csv", "--json", "p.json", "--quiet")
+        expected = json.loads(Path("p.json").read_text())["expected_sd_nm"]
+        worst = {
+            name: max(expected[name][task] / sd for task, sd in expected["paper"].items())
+            for name in ("plan", "single joints")
+        }
+        assert worst["plan"] <= 1.02 * worst["single joints"]
+
+
 def test_as_many_sweeps_as_time_allows_and_the_frontier(femto: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fpcal_bayes.infer.design.plan._NUMBERS", (3, 4, 5))
     monkeypatch.setattr("fpcal_bayes.cli.plan._MOST_FRONTIER", 6)

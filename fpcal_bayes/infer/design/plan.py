@@ -279,7 +279,7 @@ class Planner:
         return max(sd[name] / float(of) for name, of in zip(self.ground.goals.jacobians, self.reference, strict=True))
 
     def fewest(self, *, most: int = 69, check: Ground | None = None, settle: bool = False) -> ChosenSweeps:
-        """The fewest up to `most` that keep to the tolerances on `check`; else `InputError`, or to `settle` the best."""
+        """The fewest up to `most` that keep to the tolerances on `check`; else `InputError`, or the best (`settle`)."""
 
         def enough(plan: Sweeps) -> bool:
             return self.excess(self.left(plan, check)) <= 1.0

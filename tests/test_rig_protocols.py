@@ -285,6 +285,20 @@ def test_the_log_counts_what_repeats(cell_live, tmp_path, monkeypatch):
     assert len(lines) < 25
 
 
+def test_requests_that_differ_in_their_number_are_alike_in_the_log(cell_live, tmp_path):
+    log = CommandLog(tmp_path / "c.log", cell_live.rig.clock)
+    for number in range(9):
+        log.write("IDS", ">", json.dumps({"method": "watch", "id": number}))
+        log.write("IDS", "<", json.dumps({"result": [0], "id": number}))
+    log.write("IDS", "-", "the connection is lost")
+    log.close()
+    first, _, last, answer, remark = (tmp_path / "c.log").read_text().splitlines()
+    assert '"id": 0}' in first
+    assert '"id": 8} (7 alike before it)' in last
+    assert '"id": 8}' in answer
+    assert remark.endswith("IDS - the connection is lost")
+
+
 def test_the_log_has_every_message(bench, cell_live):
     bench.go(np.zeros(6) + 1e-3, "a move")
     text = (cell_live.folder / "commands.log").read_text()

@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import re
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -88,16 +89,15 @@ class Interferometer(Protocol):
 class CommandLog:
     """A log of the messages to and from the devices, a line each, in the cell's time.
 
-    Looks at a joint on its way are many and alike: of the same message one a second is written, with how many like it
-    were left out before it; and of those the last, with its answer, before the device is told anything else.
+    Of looks at a joint on its way, alike but for a request's number, one a second is written with its answer, and the
+    last before the device is told anything else; each says how many were alike before it.
     """
 
     def __init__(self, path: Path | None, clock: Clock) -> None:
         self._clock = clock
         self._file: IO[str] | None = None
         self._broken, self._path = "", path
-        # When each device's message was written, in s of the wall, and how many are left out since; of each device
-        # whether the last message is, and its lines.
+        # Of messages when one was written (s of the wall) and how many since; of devices if the last is left out.
         self._sent: dict[tuple[str, str], tuple[float, int]] = {}
         self._left_out: dict[str, bool] = {}
         self._last: dict[str, list[str]] = {}
@@ -111,9 +111,10 @@ class CommandLog:
         """Add a line; `mark` is ``>`` for what is sent, ``<`` for what comes back, ``-`` for a remark."""
         line = f"{iso(self._clock.now())} {device} {mark} {shown(text, _LOGGED)}"
         if mark == ">":
-            now, (at, count) = time.monotonic(), self._sent.get((device, text), (-math.inf, 0))
+            key, now = (device, re.sub(r'"id": \d+', "", text)), time.monotonic()
+            at, count = self._sent.get(key, (-math.inf, 0))
             again = self._left_out[device] = now - at < _ALIKE_S
-            self._sent[device, text] = (at, count + 1) if again else (now, 0)
+            self._sent[key] = (at, count + 1) if again else (now, 0)
             self._last[device] = [] if again else self._last.get(device, [])
             line += f" ({count} alike before it)" if count else ""
         if mark != "-" and self._left_out.get(device):

@@ -77,6 +77,18 @@ def test_the_verdict_is_that_of_decide(file, facts, tmp_path):
         assert said.title.startswith(f"{said.word} now: ")
 
 
+def test_the_error_along_the_beam_is_one_number(facts, page):
+    """In the headline, the table of tasks and that of the degrees of freedom."""
+    (asked,) = (each for each in facts.tasks if each.asked)
+    most = f"{asked.numbers.most:.1f}"
+    assert f"at most {most} nm" in page
+    table = page.partition("Peak to peak by degree of freedom")[2].partition("</table>")[0]
+    along = re.findall(r"<tr>\s*<td[^>]*>([^<]*)</td>\s*<td[^>]*>([^<]*)</td>", table)
+    told = [(each.name, f"{each.numbers.most:.1f}") for each in facts.tasks if each.numbers is not None]
+    assert along == told
+    assert most != f"{1e3 * asked.prediction.peak_to_peak_band()[1]:.1f}"
+
+
 def test_task_errors_are_those_of_the_tracked_estimate(facts):
     task = facts.tasks[0].task.driven()
     again = predict_from_covariance(facts.track.estimate(), task, draws=20_000, seed=1)

@@ -363,6 +363,19 @@ def test_the_command_writes_picture_and_json(suffix, tmp_path, capsys):
     assert "[envelope]: nothing keeps the mirror off the fibre" in capsys.readouterr().out
 
 
+def test_a_copy_of_a_cell_to_be_edited(tmp_path, capsys):
+    out = tmp_path / "wider.toml"
+    assert main(["cell", "femto-st", "-o", str(out)]) == 0
+    assert "the mirror faces the light" in capsys.readouterr().out
+    assert load_cell(out).sha256 == load_cell("femto-st").sha256
+    assert main(["cell", "femto-st", "-o", str(out)]) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert main(["cell", "femto-st", "--new", "x y", "-o", str(tmp_path / "b.toml")]) == 2
+    assert "expected one of --new AXES, --from-dh TABLE and a CELL to copy" in capsys.readouterr().err
+    assert main(["cell", "missing.toml", "-o", str(tmp_path / "b.toml")]) == 2
+    assert not (tmp_path / "b.toml").exists()
+
+
 def test_the_command_makes_a_cell(tmp_path, capsys):
     out = tmp_path / "lab8.toml"
     arguments = ["cell", "--new", "-x y z rx rz -ry", "--side", "minus-y", "--gap-um", "60", "-o", str(out)]

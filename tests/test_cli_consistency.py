@@ -7,7 +7,9 @@ import sys
 
 import pytest
 
+from fpcal_bayes.cli.common import console
 from fpcal_bayes.cli.main import main, make_parser
+from fpcal_bayes.report.table import plain_table
 
 (_ACTION,) = (a for a in make_parser()._actions if isinstance(a, argparse._SubParsersAction))
 COMMANDS = _ACTION.choices
@@ -40,6 +42,20 @@ def test_tables_have_no_colour_when_piped_and_nothing_when_quiet(tmp_path, capsy
         assert "\x1b" not in capsys.readouterr().out
         assert main([*command, "--quiet"]) == 0
         assert capsys.readouterr().out == ""
+
+
+def test_a_table_in_a_pipe_loses_no_column_and_no_text(capsys):
+    heads, cells = [f"column {i} of many [nm]" for i in range(40)], [f"{'long ' * 8}{i}" for i in range(40)]
+    table = plain_table("title " * 50, heads, words=range(40))
+    table.add_row(*cells)
+    out = console(argparse.Namespace(quiet=False))
+    out.print(table)
+    out.print("word " * 100)
+    lines = [line.strip() for line in capsys.readouterr().out.splitlines() if line.strip()]
+    assert lines[0] == table.title.strip()
+    assert re.split(r" {2,}", lines[3]) == cells
+    assert all(f"column {i} of many nm" in lines[1] for i in range(40))
+    assert lines[4] == ("word " * 100).strip()
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])

@@ -18,7 +18,10 @@ ROOT = Path(__file__).parent.parent
 PAGES = sorted(path for path in (ROOT / "docs").rglob("*.md") if "_build" not in path.parts)
 NOT_RERUN = "<!-- not rerun"
 #: Pages whose commands are run as they stand.
-RERUN = ("tutorial.md", "how-to/identifiability.md", "how-to/beams.md", "explanation/gauges.md")
+RERUN = (
+    *("tutorial.md", "how-to/identifiability.md", "how-to/beams.md", "how-to/priors.md", "how-to/matlab.md"),
+    "explanation/gauges.md",
+)
 
 
 def sessions(text: str) -> list[tuple[str, list[str], bool]]:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from fpcal_bayes.cli import main as main_module
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.core import files
 from fpcal_bayes.core.errors import InputError
@@ -198,6 +199,20 @@ def test_an_interrupted_command_leaves_no_temporary_file(number: signal.Signals,
     assert (process.returncode, errors) == (128 + number, "fpcal: interrupted\n")
     assert [path.name for path in tmp_path.iterdir()] == ["out.json"]
     assert (tmp_path / "out.json").read_text() == "old"
+
+
+def test_a_kernel_that_is_interrupted_is_no_internal_error(monkeypatch, capsys):
+    """Python says SystemError where compiled code returns while a signal's exception waits."""
+
+    def ended(*_: object) -> int:
+        raise SystemError("returned a result with an exception set") from SystemExit(143)
+
+    monkeypatch.setattr(main_module, "_run", lambda words, *, alone: ended())
+    assert main_module.main(["identify", "x.csv"]) == 143
+    assert capsys.readouterr().err == "fpcal: interrupted\n"
+    monkeypatch.setattr(main_module, "_run", lambda words, *, alone: exec("raise SystemError('odd')"))
+    assert main_module.main(["identify", "x.csv"]) == 2
+    assert "SystemError" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -263,6 +263,42 @@ def test_stop_says_what_it_is_not_sure_of(bench, cell_live):
     assert re.fullmatch(rf"MCS-3D: not sure that its axes stand \(MCS-3D at {ADDRESS}: .*\)", doubt)
 
 
+def test_the_log_counts_what_repeats(cell_live, tmp_path, monkeypatch):
+    seconds = [0.0]
+    monkeypatch.setattr("fpcal_bayes.rig.drivers.interface.time.monotonic", lambda: seconds[0])
+    log = CommandLog(tmp_path / "c.log", cell_live.rig.clock)
+    log.write("A", ">", "MOV 1 5")
+    # Two and a half seconds of looks at a joint on its way, two questions each.
+    for look in range(250):
+        seconds[0] = 0.01 * look
+        for question in ("POS?", "ONT?"):
+            log.write("A", ">", question)
+            log.write("A", "<", f"{question} {look}")
+    log.write("B", ">", "POS?")
+    log.write("A", ">", "STP")
+    log.close()
+    lines = [line.split(" ", 1)[1] for line in (tmp_path / "c.log").read_text().splitlines()]
+    assert lines[:5] == ["A > MOV 1 5", "A > POS?", "A < POS? 0", "A > ONT?", "A < ONT? 0"]
+    assert "A > POS? (99 alike before it)" in lines
+    assert lines[-4:] == ["B > POS?", "A > ONT? (48 alike before it)", "A < ONT? 249", "A > STP"]
+    # Of 1,002 lines.
+    assert len(lines) < 25
+
+
+def test_requests_that_differ_in_their_number_are_alike_in_the_log(cell_live, tmp_path):
+    log = CommandLog(tmp_path / "c.log", cell_live.rig.clock)
+    for number in range(9):
+        log.write("IDS", ">", json.dumps({"method": "watch", "id": number}))
+        log.write("IDS", "<", json.dumps({"result": [0], "id": number}))
+    log.write("IDS", "-", "the connection is lost")
+    log.close()
+    first, _, last, answer, remark = (tmp_path / "c.log").read_text().splitlines()
+    assert '"id": 0}' in first
+    assert '"id": 8} (7 alike before it)' in last
+    assert '"id": 8}' in answer
+    assert remark.endswith("IDS - the connection is lost")
+
+
 def test_the_log_has_every_message(bench, cell_live):
     bench.go(np.zeros(6) + 1e-3, "a move")
     text = (cell_live.folder / "commands.log").read_text()

@@ -332,7 +332,10 @@ def test_the_command(cell_live, femto, tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out == "empty.csv: no rows, nothing to measure\n"
     write_ticket(tmp_path / "t.csv", femto, [0, 45])
     assert main(shlex.split("measure t.csv --rig live.toml -o s.h5 --dry-run")) == 0
-    assert "2 sweeps, 6 moves" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "2 sweeps, 6 moves" in told
+    assert "time s" in told
+    assert "least gap um" in told
     assert not (tmp_path / "s.h5").exists()
     assert cell_live.lab.commanded == []
     assert main(shlex.split("measure t.csv --rig live.toml -o s.h5")) == 0

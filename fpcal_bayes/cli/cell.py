@@ -9,10 +9,10 @@ import fpcal_bayes.report as report
 from fpcal_bayes.analysis.cell_view import view_cell
 from fpcal_bayes.cli.common import show, write_result
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import require_suffix, write_text
+from fpcal_bayes.core.files import read_text, require_suffix, write_text
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.kernels import warm_up_inverse
-from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.cell import cell_path, load_cell
 from fpcal_bayes.io.new_cell import new_cell_text, read_dh_table
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.check import impossible
@@ -21,11 +21,9 @@ from fpcal_bayes.report.cell import cell_words
 
 
 def run(options: argparse.Namespace) -> int:
-    if options.new is not None or options.from_dh is not None:
-        return _make(options)
-    if options.output is not None:
-        raise InputError("-o CELL: expected --new AXES or --from-dh TABLE, what the new cell is made from")
-    return _look(options, options.file or options.cell)
+    if options.new is None and options.from_dh is None and options.output is None:
+        return _look(options, options.file or options.cell)
+    return _make(options)
 
 
 def _look(options: argparse.Namespace, source: str | Path) -> int:
@@ -45,12 +43,23 @@ def _look(options: argparse.Namespace, source: str | Path) -> int:
 
 
 def _make(options: argparse.Namespace) -> int:
+    copied = options.new is None and options.from_dh is None
     if options.output is None or options.output.suffix.lower() != ".toml":
         raise InputError("expected -o CELL.toml, where the new cell is written")
-    if options.file is not None or options.at is not None:
-        raise InputError("--new and --from-dh make a cell: expected neither CELL nor --at beside them")
+    if copied != (options.file is not None) or options.at is not None:
+        raise InputError("-o CELL: expected one of --new AXES, --from-dh TABLE and a CELL to copy, without --at")
     if options.output.exists():
         raise InputError(f"{options.output}: is there already, expected another name for the new cell")
+    write_text(options.output, read_text(cell_path(options.file)) if copied else _new_text(options))
+    try:
+        load_cell(options.output)
+    except InputError:
+        options.output.unlink()
+        raise
+    return _look(options, options.output)
+
+
+def _new_text(options: argparse.Namespace) -> str:
     name = options.name or options.output.stem
     if not name.isprintable() or not name.strip() or '"' in name or "\\" in name or len(name) > 100:
         raise InputError(f"--name {name!r:.40}: expected a line of text without quotes")
@@ -59,16 +68,8 @@ def _make(options: argparse.Namespace) -> int:
         layout = layout_of_axes(read_axes(options.new), side, options.gap_um)
     else:
         layout = layout_of_links(*read_dh_table(options.from_dh), side, options.gap_um)
-    text = new_cell_text(
-        layout, name, wavelength_nm=options.wavelength_nm, opd=options.opd or "axis", gap_sd_um=options.gap_sd_um
-    )
-    write_text(options.output, text)
-    try:
-        load_cell(options.output)
-    except InputError:
-        options.output.unlink()
-        raise
-    return _look(options, options.output)
+    opd, gap_sd_um = options.opd or "axis", options.gap_sd_um
+    return new_cell_text(layout, name, wavelength_nm=options.wavelength_nm, opd=opd, gap_sd_um=gap_sd_um)
 
 
 def joints_at(cell: Cell, text: str) -> Floats:

@@ -17,6 +17,7 @@ from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import SCHEMA
 from fpcal_bayes.model.trust import Trust
+from fpcal_bayes.report.table import ANY_WIDTH
 
 
 def cell_of(options: argparse.Namespace) -> Cell:
@@ -71,8 +72,8 @@ class Output(Console):
 
 
 def console(options: argparse.Namespace) -> Output:
-    """Console for tables: coloured on a terminal, plain and wide when piped, silent with ``--quiet``."""
-    return Output(quiet=options.quiet, width=None if sys.stdout.isatty() else 120, highlight=False)
+    """Console for tables: coloured on a terminal, plain and as wide as these when piped, silent with ``--quiet``."""
+    return Output(quiet=options.quiet, width=None if sys.stdout.isatty() else ANY_WIDTH, highlight=False)
 
 
 def show(options: argparse.Namespace, parts: Iterable[object], warnings: Iterable[str] = ()) -> None:

@@ -135,7 +135,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     with _guarded() as out:
         try:
-            status = _run(words, alone=arguments is None)
+            try:
+                status = _run(words, alone=arguments is None)
+            except SystemError as error:
+                # So a compiled kernel ends that was asked to end.
+                raise error.__cause__ or error from None
         except (KeyboardInterrupt, SystemExit) as ended:
             status = 130 if isinstance(ended, KeyboardInterrupt) else int(ended.code or 0)
             if status < 128:

@@ -4,8 +4,6 @@ import argparse
 import sys
 from pathlib import Path
 
-from rich.table import Table
-
 from fpcal_bayes.cli.common import console, warn
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import make_folder
@@ -17,6 +15,7 @@ from fpcal_bayes.io.tickets import read_ticket
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.ticket import Ticket, orders_of
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.report.table import plain_table
 from fpcal_bayes.rig.agenda import Agenda, origin_of
 from fpcal_bayes.rig.bench import Bench, only_one
 from fpcal_bayes.rig.clock import Halt, Halted
@@ -72,7 +71,8 @@ def drive(
 def _show(options: argparse.Namespace, cell: Cell, guard: Guard, ticket: Ticket) -> int:
     orders = orders_of(ticket)
     legs = dry_run(guard, orders, guard.inside(orders[0].start))
-    table = Table("sweep", "moves", "time [s]", "least gap [um]", "fringes a second, most", box=None)
+    heads = ["sweep", "moves", "time [s]", "least gap [um]", "fringes a second, most"]
+    table = plain_table(f"{options.ticket}: what would be driven", heads, words=(0,))
     for order, moves in zip(orders, legs, strict=True):
         table.add_row(order.label, str(len(moves)), f"{total_seconds([moves]):.1f}", *_extremes(moves))
     every = [leg for moves in legs for leg in moves]

@@ -23,6 +23,7 @@ from fpcal_bayes.report.campaign.page import write_campaign_report
 from fpcal_bayes.report.fit import fit_lines
 from fpcal_bayes.report.pages import save_figure
 from fpcal_bayes.report.posterior import posterior_table
+from fpcal_bayes.report.table import ANY_WIDTH
 from fpcal_bayes.report.track import verdict_lines
 from fpcal_bayes.report.week import circle_table, course_table, draw_courses, truth_table
 from fpcal_bayes.study.paper_scenarios import Followed, follow_week
@@ -91,7 +92,7 @@ def _run(options: argparse.Namespace, cell: Cell) -> int:
         page = folder / "report.html"
         write_campaign_report(folder / "campaign.h5", cell, page, goal=goal, posterior=draws, command=command)
     text = io.StringIO()
-    report = Output(file=text, width=120, highlight=False)
+    report = Output(file=text, width=ANY_WIDTH, highlight=False)
     for target, timed in ((report, False), (out, True)):
         _print_week(week, target, timed=timed)
         _print_courses(followed, checks, renewed, target)

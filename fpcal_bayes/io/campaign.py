@@ -91,7 +91,11 @@ def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False, whole: bo
         about = reader.text_attribute(root, "about") if "about" in root.attrs else ""
         _require_cell(path, name, sha256, opd, cell)
         table = get_columns(reader, reader.group(root, "sweeps"), cell, plan=plan)
-        truth = _truth(reader) if reader.has(root, "truth") else None
+        truth = None
+        if reader.has(root, "truth"):
+            group = reader.group(root, "truth")
+            names, units = (tuple(reader.texts(group, name).tolist()) for name in ("names", "units"))
+            truth = TruthRecord(names, units, reader.numbers(group, "time_h"), reader.numbers(group, "values", 2))
         track = get_track(reader, reader.group(root, "track")) if reader.has(root, "track") else None
         recorded = reader.has(root, "recordings")
         recordings = get_index(reader, reader.group(root, "recordings"), cell) if recorded else None
@@ -122,12 +126,6 @@ def _require_cell(path: Path, name: str, sha256: str, opd: Opd, cell: Cell) -> N
             f"{path}: made with cell {name!r:.60} (sha256 {sha256[:8]!r:.40}), "
             f"expected cell {cell.name!r} (sha256 {own[:8]!r}); give the file's own cell with --cell"
         )
-
-
-def _truth(reader: Reader) -> TruthRecord:
-    group = reader.group(reader.root, "truth")
-    names, units = reader.texts(group, "names").tolist(), reader.texts(group, "units").tolist()
-    return TruthRecord(tuple(names), tuple(units), reader.numbers(group, "time_h"), reader.numbers(group, "values", 2))
 
 
 def put_track(group: Any, record: TrackRecord) -> None:

@@ -82,7 +82,7 @@ def load_cell(
     InputError
         If the file is missing or holds an unknown key, a wrong type, an impossible unit or value.
     """
-    path, reader = _path(source), _Reader(source)
+    path, reader = cell_path(source), _Reader(source)
     try:
         cell = read_toml(path, reader.cell)
     except InputError as error:
@@ -95,7 +95,8 @@ def load_cell(
     return cell if opd is None else cell.with_opd(opd)
 
 
-def _path(source: str | Path) -> Path:
+def cell_path(source: str | Path) -> Path:
+    """Where a cell's file stands."""
     return data_file(f"{source}.toml") if str(source) in built_in_cells() else Path(source)
 
 
@@ -105,7 +106,7 @@ _WALKS = re.compile(r"(#[^\n]*)|^[ \t]*\[+[ \t]*(\w+)|(\bwalk_\w+[ \t]*=[ \t]*)(
 
 def write_resized_cell(source: str | Path, robot: float, mirror: float, output: Path) -> None:
     """Write a cell's file again, its walks `robot` and `mirror` times as large; all else stays as it stands."""
-    path, table = _path(source), ""
+    path, table = cell_path(source), ""
 
     def resized(found: re.Match[str]) -> str:
         nonlocal table

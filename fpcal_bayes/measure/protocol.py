@@ -197,18 +197,14 @@ def _paper_sweeps() -> Iterator[tuple[str, list[float], list[float]]]:
             start[joint], end[joint] = low, high
             yield f"{name}-{suffix}", start, end
 
-    for number, node in enumerate(_nodes()):
-        yield from moves(f"node{number}", [*node, 0.0, 0.0, 0.0], rotations)
-    for q4, q5, q6 in product((0.0, tilt[1]), (0.0, tilt[1]), spin):
-        yield from moves(f"orient{q4:g}-{q5:g}-{q6:g}", [0.0, 0.0, 0.0, q4, q5, q6], translations)
-
-
-def _nodes() -> list[list[float]]:
-    """Values of q1, q2, q3 at the centre, the corners and the face centres of a cube."""
+    # q1, q2, q3 at the centre, the corners and the face centres of a cube.
     half = NODE_HALF_SIDE
     corners = [[q1, q2, q3] for q3, q2, q1 in product((-half, half), repeat=3)]
     faces = [[side if joint == moved else 0.0 for joint in range(3)] for side in (-half, half) for moved in (2, 1, 0)]
-    return [[0.0, 0.0, 0.0], *corners, *faces]
+    for number, node in enumerate([[0.0, 0.0, 0.0], *corners, *faces]):
+        yield from moves(f"node{number}", [*node, 0.0, 0.0, 0.0], rotations)
+    for q4, q5, q6 in product((0.0, tilt[1]), (0.0, tilt[1]), spin):
+        yield from moves(f"orient{q4:g}-{q5:g}-{q6:g}", [0.0, 0.0, 0.0, q4, q5, q6], translations)
 
 
 def _require_paper_chain(cell: Cell) -> None:

@@ -31,7 +31,12 @@ def ciddor(wavelength: ArrayLike, temperature_c: ArrayLike, pressure_hpa: ArrayL
         if bad.any():
             raise InputError(f"air: {name} {value[bad].flat[0]:g} {unit}: expected {low:g} to {high:g} {unit}")
     light, celsius, pressure = given[0], given[1], 100.0 * given[2]
-    vapour = _vapour_fraction(celsius, pressure, humidity / 100.0)
+    # Molar fraction of water vapour.
+    kelvin = celsius + _ZERO_CELSIUS
+    over_water = np.exp(1.2378847e-5 * kelvin**2 - 1.9121316e-2 * kelvin + 33.93711047 - 6.3431645e3 / kelvin)
+    over_ice = 10.0 ** (12.537 - 2663.5 / kelvin)
+    enhancement = 1.00062 + 3.14e-8 * pressure + 5.6e-7 * celsius**2
+    vapour = enhancement * (humidity / 100.0) * np.where(celsius >= 0.0, over_water, over_ice) / pressure
 
     square = light**-2.0
     dry = 1e-8 * (5792105.0 / (238.0185 - square) + 167917.0 / (57.362 - square))
@@ -56,15 +61,6 @@ def air_index(
     if known.any():
         index[known] = ciddor(light[known], celsius[known], pressure[known], humidity[known])
     return index
-
-
-def _vapour_fraction(celsius: Floats, pressure: Floats, humidity: Floats) -> Floats:
-    """Molar fraction of water vapour at a relative humidity from 0 to 1, pressure in Pa."""
-    kelvin = celsius + _ZERO_CELSIUS
-    over_water = np.exp(1.2378847e-5 * kelvin**2 - 1.9121316e-2 * kelvin + 33.93711047 - 6.3431645e3 / kelvin)
-    over_ice = 10.0 ** (12.537 - 2663.5 / kelvin)
-    enhancement = 1.00062 + 3.14e-8 * pressure + 5.6e-7 * celsius**2
-    return np.asarray(enhancement * humidity * np.where(celsius >= 0.0, over_water, over_ice) / pressure)
 
 
 def _compressibility(celsius: ArrayLike, pressure: ArrayLike, vapour: ArrayLike) -> Floats:

@@ -119,7 +119,10 @@ def margin(
     near = (_room(sizes, envelope) < 0).any(axis=0)
     if len(told.draws) > _SCREEN and near.any():
         sizes[:, near] = _sizes(told, path.q[near], (envelope, shift, gap_sd, sigmas))
-    rates = _rates(model, told.draws[:_SCREEN], path, sigmas)
+    # Half waves a second on each step.
+    lengths = model.predict(few.draws, model.rows(path.q[path.step[:, 0]], path.q[path.step[:, 1]]))
+    change = np.maximum(_far(lengths, sigmas), _far(-lengths, sigmas))
+    rates = change / np.where(path.seconds > 0, path.seconds, np.inf) / (model.cell.wavelength / 2.0)
     gap, spread, least, tilt, most_tilt, most_aside = sizes
     return Margin(gap, spread, least, tilt, most_tilt, most_aside, rates, known is not None)
 
@@ -212,7 +215,10 @@ def _gap(told: Known, envelope: Envelope) -> tuple[Floats, float] | None:
     cell, draws = told.model.cell, told.draws
     ahead, facing, _, _ = told.facing(home(cell)[None])
     length = (ahead / facing)[:, 0]
-    sd, prior_sd = float(length.std()), _prior_sd(told.model)
+    # And the sd of the length at joint zero that the cell's priors leave, in um.
+    wide = replace(told.model, free=cell.free, held=cell.parameters.nominal, cell=cell.with_opd("axis"))
+    _, jacobian = wide.predict_with_jacobian(wide.free.nominal, wide.pose_rows(home(cell)[None]))
+    sd, prior_sd = float(length.std()), float(np.linalg.norm(jacobian[0] * wide.free.prior_sd))
     measured = len(draws) > 1 and sd < _MEASURED * prior_sd
     if envelope.gap is None or envelope.gap_sd is None:
         return (np.zeros(len(draws)), 0.0) if measured else None
@@ -231,18 +237,3 @@ def _gap(told: Known, envelope: Envelope) -> tuple[Floats, float] | None:
 def gap_is_known(model: CavityModel, draws: Floats) -> bool:
     """Whether the cell's envelope or the draws say how far mirror and fibre are apart."""
     return _gap(Known.of(model, draws), require_envelope(model.cell)) is not None
-
-
-def _prior_sd(model: CavityModel) -> float:
-    """Standard deviation of the length at joint zero that the cell's priors leave, in um."""
-    wide = replace(model, free=model.cell.free, held=model.cell.parameters.nominal)
-    axis_model = replace(wide, cell=model.cell.with_opd("axis"))
-    _, jacobian = axis_model.predict_with_jacobian(wide.free.nominal, axis_model.pose_rows(home(model.cell)[None]))
-    return float(np.linalg.norm(jacobian[0] * wide.free.prior_sd))
-
-
-def _rates(model: CavityModel, draws: Floats, path: JointPath, sigmas: float) -> Floats:
-    """Half waves a second on each step at `sigmas` standard deviations, shape (n_steps,)."""
-    lengths = model.predict(draws, model.rows(path.q[path.step[:, 0]], path.q[path.step[:, 1]]))
-    change = np.maximum(_far(lengths, sigmas), _far(-lengths, sigmas))
-    return np.asarray(change / np.where(path.seconds > 0, path.seconds, np.inf) / (model.cell.wavelength / 2.0))

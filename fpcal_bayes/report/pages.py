@@ -17,8 +17,8 @@ from matplotlib.transforms import Bbox
 from fpcal_bayes.core.files import replacing
 
 # Okabe and Ito's colours, told apart by colour-blind readers and in grey print.
-BLUE, ORANGE, GREEN, VERMILION, PURPLE, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#666666"
-SKY, BLACK = "#56B4E9", "#000000"
+BLUE, ORANGE, GREEN, VERMILION, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#666666"
+SKY = "#56B4E9"
 _SETTINGS: dict[Any, Any] = {"svg.hashsalt": "fpcal", "font.size": 9, "hatch.linewidth": 0.6, "axes.axisbelow": True}
 _MOST_CHARACTERS = 24
 

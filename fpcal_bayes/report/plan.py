@@ -28,7 +28,7 @@ def accuracy_table(expected: TaskForecast, title: str) -> Table:
 
 def sweeps_table(cell: Cell, sweeps: Sweeps, title: str, names: Sequence[str] | None = None) -> Table:
     """One line per sweep: which joints move, and where each stands or where it begins and ends; um and deg."""
-    table = plain_table(title, ["sweep", "moves", *[f"q{i} {joint.unit}" for i, joint in enumerate(cell.joints, 1)]])
+    table = plain_table(title, ["sweep", "moves", *[f"q{i} [{joint.unit}]" for i, joint in enumerate(cell.joints, 1)]])
     # Adding zero turns -0 into 0.
     starts, ends = sweeps.q_start / cell.joint_scales + 0.0, sweeps.q_end / cell.joint_scales + 0.0
     for name, start, end in zip(names or sweeps.label.tolist(), starts.tolist(), ends.tolist(), strict=True):

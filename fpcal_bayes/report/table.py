@@ -15,6 +15,8 @@ from rich.markup import escape
 from rich.table import Table as TerminalTable
 from rich.text import Text
 
+#: Characters of a line in a pipe or a file, which have no width: nothing is cut or broken there.
+ANY_WIDTH = 100_000
 #: Colours of the terminal; on a page the style is a class of the style sheet.
 _COLOURS = {
     "identified": "green",
@@ -71,7 +73,7 @@ class Table:
 
     def __str__(self) -> str:
         text = StringIO()
-        Console(file=text, width=200, color_system=None).print(self)
+        Console(file=text, width=ANY_WIDTH, color_system=None).print(self)
         return text.getvalue()
 
 

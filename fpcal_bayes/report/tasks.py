@@ -107,17 +107,18 @@ def mechanism_lines(predictions: list[TaskPrediction]) -> list[str]:
     return [*lines, f"return errors grow with the number of points of a path, here {' or '.join(points)}"]
 
 
-def freedom_table(predictions: list[TaskPrediction]) -> Table:
-    """One line per task: upper edge of the peak to peak of each degree of freedom since the start."""
+def freedom_table(predictions: list[TaskPrediction], along: list[float] | None = None) -> Table:
+    """One line per task: upper edge of the peak to peak of each freedom since the start; `along` the beam if told."""
     heads = ["task", "along the beam [nm]", "x [nm]", "z [nm]", "rx [deg]", "ry, spin [deg]", "rz [deg]"]
     table = plain_table(
         f"Peak to peak by degree of freedom, not exceeded with {100 * (0.5 + BAND / 2):.1f} %", heads, words=(0,)
     )
-    for prediction in predictions:
+    for i, prediction in enumerate(predictions):
         if not prediction.trust.usable:
             table.add_row(prediction.task.name, "not to be used", *[""] * 5)
             continue
         edges = [(found.most, found.unit) for found in freedom_numbers(prediction, {})]
+        edges[0] = edges[0] if along is None else (along[i], "nm")
         told = (angle_text(most) if unit == "deg" else f"{most:.1f}" for most, unit in edges)
         table.add_row(prediction.task.name, *told)
     return table

@@ -158,7 +158,11 @@ def record_path(
 
     def scan_at(pose: Floats) -> Floats:
         moved = np.repeat(pose[None], n_reference, axis=0)
-        moved[:, joint] += _swing(cell, pose, joint, slope, n_reference)
+        # The reference joint goes out and back, towards the middle of its range.
+        low, high = cell.low[joint], cell.high[joint]
+        inwards = -1.0 if np.isfinite(low + high) and pose[joint] > (low + high) / 2 else 1.0
+        size = inwards * _REFERENCE_FRINGES * cell.wavelength / 2.0 / abs(slope)
+        moved[:, joint] += size * np.sin(np.linspace(0.0, np.pi, n_reference)) ** 2
         return moved
 
     first = scan_at(path[0])
@@ -183,11 +187,3 @@ def reference_joint(cell: Cell, q: Floats) -> tuple[int, float]:
     slopes = np.where(cell.revolute, 0.0, model.joint_jacobian(model.free.nominal, q[None])[0])
     joint = int(np.argmax(np.abs(slopes)))
     return joint, float(slopes[joint])
-
-
-def _swing(cell: Cell, q: Floats, joint: int, slope: float, n: int) -> Floats:
-    """Moves of the reference joint, out and back, towards the middle of its range; shape (n,)."""
-    low, high = cell.low[joint], cell.high[joint]
-    inwards = -1.0 if np.isfinite(low + high) and q[joint] > (low + high) / 2 else 1.0
-    size = inwards * _REFERENCE_FRINGES * cell.wavelength / 2.0 / abs(slope)
-    return np.asarray(size * np.sin(np.linspace(0.0, np.pi, n)) ** 2)

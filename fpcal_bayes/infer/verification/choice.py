@@ -103,7 +103,10 @@ def choose(expected: Expected, effects: Mapping[str, Effects], sweep: Ints, n: i
         own = blocks[np.arange(n_sweeps), :, np.arange(n_sweeps), :] + np.eye(n_each) * 1e-15
         tall = left.reshape(len(left), n_sweeps, n_each).transpose(1, 2, 0)
         gains = (np.linalg.solve(np.linalg.cholesky(own), tall) ** 2).sum(axis=1)
-        worth = _likely(excess + gains, (step + 1) * n_each) @ shares + _BEYOND * np.log1p(excess + gains) @ shares
+        # Power, as `power_of` but for the tails: with the normal distribution of the same mean and variance.
+        both, n_rows = excess + gains, (step + 1) * n_each
+        likely = special.ndtr((both + n_rows - special.chdtri(n_rows, LEVEL)) / np.sqrt(2.0 * (n_rows + 2.0 * both)))
+        worth = likely @ shares + _BEYOND * np.log1p(both) @ shares
         worth[chosen] = -np.inf
         best = int(np.argmax(worth))
         chosen.append(best)
@@ -116,9 +119,3 @@ def choose(expected: Expected, effects: Mapping[str, Effects], sweep: Ints, n: i
         covariance[np.ix_(rows, rows)] = np.eye(n_each)
         left[:, rows] = 0.0
     return chosen
-
-
-def _likely(excess: Floats, n_rows: int) -> Floats:
-    """Power, as `power_of` but for the tails: with the normal distribution of the same mean and variance."""
-    least = special.chdtri(n_rows, LEVEL)
-    return np.asarray(special.ndtr((excess + n_rows - least) / np.sqrt(2.0 * (n_rows + 2.0 * excess))))

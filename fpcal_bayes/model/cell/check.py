@@ -56,7 +56,9 @@ def _misplaced(cell: Cell) -> Iterator[tuple[str, str]]:
         )
     elif seen.tilt > _FARTHEST_TILT:
         text = f"the mirror stands {np.degrees(seen.tilt):.0f} deg off the light at joint zero: its normal points along"
-        turn = _turn_mirror(cell, vector, -seen.light)
+        angles = mirror_angles(chain.tool_pose(cell, vector, home(cell))[:3, :3].T @ -seen.light)
+        beta, theta = (wrapped(np.degrees(angle)) for angle in angles)
+        turn = f"to turn it there: beta_et nominal_deg = {beta:g}, theta_et nominal_deg = {theta:g}{_OR_AXES}"
         yield "extrinsic.beta_et", f"{text} {normal}, the light along {light}; {turn}"
     elif not seen.length > 0:
         theta, beta = (wrapped(_degrees(vector, name, cell) + 180.0) for name in ("theta_wf", "beta_et"))
@@ -106,13 +108,6 @@ def _other_side(fibre: Floats, light: Floats, ahead: float) -> str:
         if abs(here - there) > 1e-3
     ]
     return ", ".join(parts)
-
-
-def _turn_mirror(cell: Cell, vector: Floats, wanted: Floats) -> str:
-    """The angles of the mirror in the tool frame that turn its normal along `wanted`."""
-    beta, theta = mirror_angles(chain.tool_pose(cell, vector, home(cell))[:3, :3].T @ wanted)
-    beta_deg, theta_deg = wrapped(np.degrees(beta)), wrapped(np.degrees(theta))
-    return f"to turn it there: beta_et nominal_deg = {beta_deg:g}, theta_et nominal_deg = {theta_deg:g}{_OR_AXES}"
 
 
 def mirror_angles(normal: Floats) -> tuple[float, float]:

@@ -70,7 +70,12 @@ def drive_of(
     """
     stated = np.zeros(q_end.shape) if approach is None else approach
     (start_side, end_side), (start_reach, end_reach) = _approaches(q_start, q_end, absolute, sweep, stated, still)
-    fraction = _fractions(q_start, q_end, absolute, sweep)
+    # How far along its sweep each row ends: 1 at the sweep's last row, 1/2 at a midpoint.
+    length = np.linalg.norm(q_end - q_start, axis=1)
+    longest = np.zeros(int(sweep.max(initial=0)) + 1)
+    np.maximum.at(longest, sweep, length)
+    share = np.where(longest[sweep] > 0, length / np.where(longest[sweep] > 0, longest[sweep], 1.0), 1.0)
+    fraction = np.where(absolute, 0.0, share)
     # Times that differ are those of the rows; else the sweeps are so many minutes apart.
     begun = 60.0 * (time_h - time_h[0]) if np.ptp(time_h) > 0 else minutes_per_sweep * (sweep - sweep[0])
     start, end = begun.astype(float), begun + 0.5 * minutes_per_sweep * fraction
@@ -128,12 +133,3 @@ def _approaches(
     first = np.maximum.accumulate(first)
     start_side = np.where(first[:, None] >= 0, sides[np.maximum(first, 0)], 0.0)
     return (start_side, sides[place]), (reached[np.maximum(first, 0)], reached[place])
-
-
-def _fractions(q_start: Floats, q_end: Floats, absolute: Bools, sweep: Ints) -> Floats:
-    """How far along its sweep each row ends: 1 at the sweep's last row, 1/2 at a midpoint, shape (n,)."""
-    length = np.linalg.norm(q_end - q_start, axis=1)
-    longest = np.zeros(int(sweep.max(initial=0)) + 1)
-    np.maximum.at(longest, sweep, length)
-    share = np.where(longest[sweep] > 0, length / np.where(longest[sweep] > 0, longest[sweep], 1.0), 1.0)
-    return np.where(absolute, 0.0, share)

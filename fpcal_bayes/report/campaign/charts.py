@@ -8,7 +8,7 @@ import numpy as np
 from fpcal_bayes.analysis.campaign import CampaignFacts
 from fpcal_bayes.analysis.history import SessionResiduals, TaskForecasts, session_log
 from fpcal_bayes.report.campaign.words import shown_time
-from fpcal_bayes.report.table import Table, TableCell, figure_of, plain_table
+from fpcal_bayes.report.table import Table, figure_of, plain_table
 from fpcal_bayes.report.track import LEAST_HOURS
 
 #: Rows of the residual chart at most: the latest ones.
@@ -51,19 +51,17 @@ def log_table(facts: CampaignFacts) -> Table | None:
     heads = ["session", "time", "next session", "estimate good for", "evidence and warnings"]
     table = plain_table("Log", heads, words=(0, 2, -1))
     for outcome, held, at_least, late in log:
+        last = outcome is log[-1][0]
+        if late <= _SLACK_H:
+            follows = "latest" if last else "in time"
+        else:
+            follows = f"overdue by {late:.1f} h" if last else f"{late:.1f} h late"
         good = f"{'at least ' * at_least}{held:.1f} h" if held >= LEAST_HOURS else "at risk from the start"
         table.add_row(
             outcome.session,
             figure_of(outcome.time_h, shown_time(outcome.time_h, facts)),
-            _next(late, last=outcome is log[-1][0]),
+            figure_of(late, follows, "good" if late <= _SLACK_H else "caution"),
             figure_of(held, good),
             "; ".join((*outcome.evidence, *outcome.warnings)) or "nothing to report",
         )
     return table
-
-
-def _next(late: float, *, last: bool) -> TableCell:
-    """Whether the next session, or the present after the last one, comes before the hold has ended."""
-    if late <= _SLACK_H:
-        return TableCell("latest" if last else "in time", f"{late:.6g}", "good")
-    return TableCell(f"overdue by {late:.1f} h" if last else f"{late:.1f} h late", f"{late:.6g}", "caution")

@@ -81,6 +81,7 @@ def campaign_html(facts: CampaignFacts) -> str:
     seen, drawn = facts.observability, facts.posterior
     track, outlook, rows = history(facts), outlooks(facts), residuals(facts)
     since = since_calibration(facts)
+    told = [(each.prediction, each.numbers) for each in facts.tasks if each.prediction and each.numbers]
     at = words.shown_time(facts.now_h, facts)
     pictures = {
         "tasks": figures.task_figure(facts),
@@ -111,7 +112,8 @@ def campaign_html(facts: CampaignFacts) -> str:
         level=f"{100 * facts.goal.level:g} %",
         warnings=_warnings(facts),
         tasks=words.task_table(facts),
-        freedoms=freedom_table([each.prediction for each in facts.tasks if each.prediction is not None]),
+        # Along the beam what the page says of the task, which may be of the decision's draws.
+        freedoms=freedom_table([each for each, _ in told], [numbers.most for _, numbers in told]),
         not_evaluated=not_evaluated_line(facts.cell),
         measured=words.measured_sentence(facts),
         sessions=words.session_table(facts),

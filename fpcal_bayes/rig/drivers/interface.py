@@ -1,6 +1,9 @@
 """What every device can do, and how its failures read."""
 
 import contextlib
+import math
+import re
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Protocol
@@ -12,6 +15,8 @@ from fpcal_bayes.rig.clock import Clock
 
 #: What a log line holds of one message.
 _LOGGED = 400
+#: How often the same message is written, in s of the wall.
+_ALIKE_S = 1.0
 
 
 class DeviceError(InputError):
@@ -82,12 +87,20 @@ class Interferometer(Protocol):
 
 
 class CommandLog:
-    """A log of every message to and from the devices, a line each, in the cell's time."""
+    """A log of the messages to and from the devices, a line each, in the cell's time.
+
+    Of looks at a joint on its way, alike but for a request's number, one a second is written with its answer, and the
+    last before the device is told anything else; each says how many were alike before it.
+    """
 
     def __init__(self, path: Path | None, clock: Clock) -> None:
         self._clock = clock
         self._file: IO[str] | None = None
         self._broken, self._path = "", path
+        # Of messages when one was written (s of the wall) and how many since; of devices if the last is left out.
+        self._sent: dict[tuple[str, str], tuple[float, int]] = {}
+        self._left_out: dict[str, bool] = {}
+        self._last: dict[str, list[str]] = {}
         if path is not None:
             try:
                 self._file = path.open("a", encoding="utf-8", buffering=1)
@@ -96,9 +109,20 @@ class CommandLog:
 
     def write(self, device: str, mark: str, text: str) -> None:
         """Add a line; `mark` is ``>`` for what is sent, ``<`` for what comes back, ``-`` for a remark."""
+        line = f"{iso(self._clock.now())} {device} {mark} {shown(text, _LOGGED)}"
+        if mark == ">":
+            key, now = (device, re.sub(r'"id": \d+', "", text)), time.monotonic()
+            at, count = self._sent.get(key, (-math.inf, 0))
+            again = self._left_out[device] = now - at < _ALIKE_S
+            self._sent[key] = (at, count + 1) if again else (now, 0)
+            self._last[device] = [] if again else self._last.get(device, [])
+            line += f" ({count} alike before it)" if count else ""
+        if mark != "-" and self._left_out.get(device):
+            self._last[device].append(line)
+            return
         try:
             if self._file is not None:
-                self._file.write(f"{iso(self._clock.now())} {device} {mark} {shown(text, _LOGGED)}\n")
+                self._file.writelines(f"{each}\n" for each in (*self._last.pop(device, ()), line))
         except OSError as error:
             self._broken = f"{self._path}: cannot be written ({error.strerror})"
             self.close()

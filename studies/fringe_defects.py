@@ -3,23 +3,24 @@
 Sweeps along the optical axis of 4 to 200 um, from a generator that shares nothing with the reader but the cell's
 cavity length. Defects: none, a mirror that sets out late or stops early (0.05 to 2 um), one that lags (with rest at the
 end), a stage that runs unevenly under a column of commanded positions, or with a ripple, a late one with a ripple, a
-converter of 8 to 16 bits, a laser that hops, a jump by a whole fringe within one sample. Printed for each: how many are
-accepted, the variance of the standardised errors of those, and how many lie beyond six standard deviations.
+converter of 8 to 16 bits, a laser that hops, a jump by a whole fringe within one sample. Twenty sweeps are a recording
+of one stage, in which all have the defect, or a share of them (`--share`). Printed for each: how many are accepted, the
+variance of the standardised errors of those, and how many lie beyond six standard deviations.
 
-    python studies/fringe_defects.py [--traces 1000] [--seed 0]
+    python studies/fringe_defects.py [--traces 1000] [--seed 0] [--share 0.5]
 """
 
 import argparse
 
 import numpy as np
 
-from fpcal_bayes import ingest
+from fpcal_bayes.fringes import read_index
 from fpcal_bayes.io import load_cell
-from fpcal_bayes.measure import Sweeps, Trace, TraceIndex, paper_truth, single_sweep
+from fpcal_bayes.measure import Sweeps, Trace, TraceIndex, join, paper_truth, single_sweep
 from fpcal_bayes.model import CavityModel, Cell
 
 KINDS = ("clean", "late", "lag", "uneven", "bits", "hop", "whole fringe", "ripple", "early", "late ripple")
-#: Traces of one campaign.
+#: Traces of one recording.
 BATCH = 20
 
 
@@ -78,6 +79,7 @@ def main() -> None:
     parser.add_argument("--traces", type=int, default=1000, help="of each kind")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--share", type=float, default=1.0, help="of the traces of a recording that have the defect")
     parser.add_argument("--list", action="store_true", help="readings beyond four standard deviations, one by one")
     options = parser.parse_args()
     cell = load_cell(mechanics="none")
@@ -89,16 +91,14 @@ def main() -> None:
         for seed in range(options.seed, options.seed + max(1, options.traces // BATCH)):
             random = np.random.default_rng([seed, KINDS.index(kind)])
             values = paper.at(0.0) + 0.3 * sds * random.standard_normal(len(sds))
-            made = [drawn(cell, model, values, kind, random) for _ in range(BATCH)]
-            for sweep, trace, true in made:
-                try:
-                    found = ingest(TraceIndex.of(sweep, [trace]), cell)
-                except Exception as error:
-                    why = str(error).split(": ", 2)[-1]
-                    why = "".join(c for c in why if not c.isdigit())[:60]
+            has_it = [options.share == 1.0 or random.random() < options.share for _ in range(BATCH)]
+            made = [drawn(cell, model, values, kind if has else "clean", random) for has in has_it]
+            index = TraceIndex.of(join([sweep for sweep, *_ in made]), [trace for _, trace, _ in made])
+            for reading, (_, trace, true) in zip(read_index(index, cell).readings, made, strict=True):
+                if not reading.good:
+                    why = "".join(c for c in reading.refused or reading.doubt if not c.isdigit())[:60]
                     refused[why] = refused.get(why, 0) + 1
                     continue
-                reading = found.readings[0]
                 error = abs(reading.dl) - abs(true)
                 scores.append(error / reading.sigma)
                 if options.list and abs(scores[-1]) > 4.0:
@@ -110,16 +110,17 @@ def main() -> None:
         scores, lost = np.array(scores), sum(refused.values())
         everything.append(scores)
         share, far = lost / max(lost + len(scores), 1), int((np.abs(scores) > 6.0).sum())
+        square = (scores**2).sum() / max(len(scores), 1)
         print(
-            f"{kind:13s} accepted {len(scores):5d}, refused {share:6.1%}, variance {np.mean(scores**2):.3f}, "
-            f"beyond six {far}, largest {np.abs(scores).max():.1f}",
+            f"{kind:13s} accepted {len(scores):5d}, refused {share:6.1%}, variance {square:.3f}, "
+            f"beyond six {far}, largest {np.abs(scores).max(initial=0.0):.1f}",
             flush=True,
         )
         for why, count in sorted(refused.items(), key=lambda each: -each[1])[:4]:
             print(f"              {count:4d} {why}")
     scores = np.concatenate(everything)
     print(
-        f"{'all':13s} accepted {len(scores):5d}, variance {np.mean(scores**2):.3f}, beyond six "
+        f"{'all':13s} accepted {len(scores):5d}, variance {(scores**2).sum() / max(len(scores), 1):.3f}, beyond six "
         f"{int((np.abs(scores) > 6.0).sum())}"
     )
 

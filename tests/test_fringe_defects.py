@@ -7,7 +7,7 @@ import pytest
 from trace_fixtures import irradiance
 
 from fpcal_bayes.cli.main import main
-from fpcal_bayes.fringes.count import Reading
+from fpcal_bayes.fringes.count import ALONE, Reading, shared_odds
 from fpcal_bayes.fringes.ingest import read_index
 from fpcal_bayes.fringes.profile import DisplacementProfile
 from fpcal_bayes.fringes.samples import Samples
@@ -120,6 +120,57 @@ def test_a_late_start_that_two_samples_show_is_seen(femto: Cell) -> None:
         trace, true = recorded(150.0, np.maximum(course, 0.0636 / 150.0), course, 1, begin=begin)
         reading = read(femto, 150.0, [trace])[0]
         assert abs(reading.dl - true) < 4.0 * reading.sigma
+
+
+def test_odds_of_a_defect_are_learnt_from_the_other_traces() -> None:
+    """A stage has it never or in a share of its traces; what tells nothing changes nothing."""
+    assert shared_odds(np.zeros((0, 2))).shape == (0, 2)
+    assert shared_odds(np.array([[1e9], [np.nan], [np.nan]])) == pytest.approx(
+        np.array([[ALONE], [2.0], [2.0]]), rel=0.02
+    )
+    clean = shared_odds(np.full((20, 1), 1e-3))
+    assert (clean < 0.01 * ALONE).all()
+    late = shared_odds(np.array([[0.02], *[[1e12]] * 19]))
+    assert late[0, 0] == pytest.approx(20.0, rel=0.1)
+    # One of twenty: by Laplace's rule of succession.
+    assert shared_odds(np.array([[0.02], [1e12], *[[0.0]] * 18]))[0, 0] == pytest.approx(2.0 / 19.0, rel=0.1)
+
+
+@pytest.mark.parametrize("end", ["start", "end"])
+def test_what_an_extreme_hides_is_judged_by_the_other_traces(femto: Cell, end: str) -> None:
+    """A delay from before an extreme of the fringe to behind it: two samples tell little, the other traces the rest."""
+    course, travel, doubted = np.linspace(0.0, 1.0, 269), 11.0, 0
+
+    def missing(missed: float, seed: int, begin: float | None) -> tuple[Trace, float]:
+        mirror = np.maximum(course, missed / travel) if end == "start" else np.minimum(course, 1.0 - missed / travel)
+        if begin is not None and end == "end":
+            begin += 4.0 * np.pi / LIGHT * travel
+        return recorded(travel, mirror, course, seed, begin=begin)
+
+    clean = [missing(0.0, 100 + i, None)[0] for i in range(8)]
+    late = [missing(0.7 + 0.05 * i, 200 + i, None)[0] for i in range(8)]
+    begin, sigmas = 0.24 if end == "start" else -0.24, []
+    for seed in range(2, 5):
+        fine, true = missing(0.0, seed, begin)
+        found = [read(femto, travel, [fine, *others])[0] for others in (clean, [], late)]
+        assert_right(found[0], true, most_nm=1.0)
+        sigmas.append([each.sigma for each in found])
+        hidden, true = missing(0.062, seed, begin)
+        reading = read(femto, travel, [hidden, *late])[0]
+        assert not reading.good or abs(reading.dl - true) < 4.5 * reading.sigma
+        doubted += "an extreme of the fringe hides it" in reading.doubt
+    among_clean, alone, among_late = np.array(sigmas).T
+    assert (among_clean < 1.05 * alone).all()
+    assert (alone < 1.001 * among_late).all()
+    assert among_late.max() > 5.0 * among_clean.max()
+    assert doubted > 0
+
+
+def test_a_trace_that_is_told_of_alone_is_read_among_the_others(femto: Cell) -> None:
+    made = [recorded(30.0, late(700, 1.0 / 30.0), np.linspace(0.0, 1.0, 700), seed)[0] for seed in range(5)]
+    index = TraceIndex.of(join([single_sweep(femto, 2, -15.0, 15.0)] * 5, "sweeps"), made)
+    (one,), every = read_index(index, femto, told=np.array([3])).readings, read_index(index, femto).readings
+    assert (one.dl, one.sigma, one.late) == (every[3].dl, every[3].sigma, every[3].late)
 
 
 def test_a_mirror_that_stops_early_is_read_as_one_that_sets_out_late(femto: Cell) -> None:

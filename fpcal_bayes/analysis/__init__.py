@@ -2,7 +2,7 @@
 
 from fpcal_bayes.core.lazy import lazy
 
-#: Names that are used outside the room and cost much to load, and the module of the room in which each stands.
-_PLACES = {"trace_rows": "traces"}
+#: Modules of the room that cost much to load, and the names of each that are used outside it.
+_PLACES = {"traces": "trace_rows"}
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

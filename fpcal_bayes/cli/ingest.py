@@ -3,11 +3,11 @@
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
+import fpcal_bayes.report as report
 from fpcal_bayes.cli.common import show, write_result
 from fpcal_bayes.core.files import make_folder, replacing, require_suffix
 from fpcal_bayes.core.linalg import counted, finite
@@ -21,7 +21,9 @@ from fpcal_bayes.measure.recordings import TraceIndex, moving_joint
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.kernels.compile import needs_compilation
 from fpcal_bayes.model.trust import Trust
-from fpcal_bayes.report.fringes import draw_sweep
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
@@ -74,14 +76,17 @@ def _draw(folder: Path, found: Ingested, index: TraceIndex, cell: Cell) -> int:
     return len(drawn)
 
 
-def drawn_sweep(found: Ingested, index: TraceIndex, cell: Cell, i: int, reason: str) -> Figure:
+def drawn_sweep(found: Ingested, index: TraceIndex, cell: Cell, i: int, reason: str) -> "Figure":
     """One sweep of an index, drawn with what is said of it."""
     joint = moving_joint(index.sweeps, i)
     start, end = (float(q[i, joint] / cell.joint_scales[joint]) for q in (index.sweeps.q_start, index.sweeps.q_end))
     reading, samples = found.readings[i], found.samples[i]
     if reading is None or samples is None:
         raise ValueError(f"row {i} has no trace")
-    return draw_sweep(reading, samples, start, end, f"q{joint + 1} [{cell.joints[joint].unit}]", reason)
+    unit = cell.joints[joint].unit
+    # What draws is loaded for a sweep in doubt alone.
+    figure: Figure = report.draw_sweep(reading, samples, start, end, f"q{joint + 1} [{unit}]", reason)
+    return figure
 
 
 def recordings_content(found: Ingested, index: TraceIndex, cell: Cell) -> dict[str, Any]:

@@ -26,8 +26,8 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
     if not wanted.any():
         what = "a sweep with a trace" if options.label is None else f"one of {', '.join(sweeps.label[:5])}"
         raise InputError(f"{options.file}: no sweep {options.label or ''!r:.40}: expected {what}")
+    found = read_index(index, cell, told=np.flatnonzero(wanted))
     index = index.take(np.flatnonzero(wanted))
-    found = read_index(index, cell)
     content = recordings_content(found, index, cell)
     doubtful = [i for i, row in enumerate(content["sweeps"]) if row["doubtful"]]
     if options.figure is not None:

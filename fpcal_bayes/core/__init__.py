@@ -2,13 +2,7 @@
 
 from fpcal_bayes.core.lazy import lazy
 
-#: Names that are used outside the package, and the module of the room in which each stands.
-_PLACES = {
-    "InputError": "errors",
-    "paper_tables": "resources",
-    "read_text": "files",
-    "write_json": "files",
-    "write_text": "files",
-}
+#: Modules of the room, and the names of each that are used outside it.
+_PLACES = {"errors": "InputError", "files": "read_text write_json write_text", "resources": "paper_tables"}
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

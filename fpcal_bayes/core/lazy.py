@@ -12,8 +12,9 @@ from typing import Any, get_args
 from fpcal_bayes.core.errors import InputError
 
 
-def lazy(package: str, places: Mapping[str, str]) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
-    """``__all__``, ``__getattr__`` and ``__dir__`` of a package whose names stand in its modules, `places`."""
+def lazy(package: str, names: Mapping[str, str]) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
+    """``__all__``, ``__getattr__`` and ``__dir__`` of a package: `names` of each of its modules, apart by spaces."""
+    places = {name: module for module, held in names.items() for name in held.split()}
 
     def load(name: str) -> Any:
         if name not in places:

@@ -2,18 +2,13 @@
 
 from fpcal_bayes.core.lazy import lazy
 
-#: Names that are used outside the package, and the module of the room in which each stands.
+#: Modules of the room, and the names of each that are used outside it.
 _PLACES = {
-    "Costs": "decision",
-    "Forecaster": "forecast",
-    "Goal": "forecast",
-    "Policy": "policy",
-    "Sessions": "closed_loop",
-    "is_diagnosis": "diagnosis",
-    "run_policy": "closed_loop",
-    "run_rule": "closed_loop",
-    "task_peaks": "closed_loop",
-    "valid_until": "policy",
+    "closed_loop": "Sessions run_policy run_rule task_peaks",
+    "decision": "Costs",
+    "diagnosis": "is_diagnosis",
+    "forecast": "Forecaster Goal",
+    "policy": "Policy valid_until",
 }
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

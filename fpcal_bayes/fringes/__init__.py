@@ -2,18 +2,13 @@
 
 from fpcal_bayes.core.lazy import lazy
 
-#: Names that are used outside the package, and the module of the room in which each stands.
+#: Modules of the room, and the names of each that are used outside it.
 _PLACES = {
-    "CALM": "fit",
-    "DisplacementProfile": "profile",
-    "Ingested": "ingest",
-    "Nuisance": "fit",
-    "Reading": "count",
-    "fading_priors": "ingest",
-    "fit_course": "fit",
-    "lay_out": "samples",
-    "prior_profiles": "profile",
-    "rows_along": "ingest",
+    "count": "Reading",
+    "fit": "CALM Nuisance fit_course",
+    "ingest": "Ingested fading_priors read_index rows_along",
+    "profile": "DisplacementProfile prior_profiles",
+    "samples": "lay_out",
 }
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

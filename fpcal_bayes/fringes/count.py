@@ -17,6 +17,9 @@ from fpcal_bayes.fringes.profile import legendre
 _COUNT_RISK, _SIGN_RISK = 1e-3, 1e-4
 #: A sign_source may be wrong altogether with this probability: it then expects anything within the last column, in um.
 _WITNESS_LIES, _ANYTHING = 1e-6, 200.0
+#: Odds of a late start, or of an early stop, of a trace alone; shares of its traces in which a stage may have one.
+ALONE = 0.003
+_RATES = np.arange(0.005, 1.0, 0.01)
 #: Changes closer than this, in um, are one count.
 _SAME_COUNT = 0.1
 
@@ -143,3 +146,17 @@ def decide(fits: Sequence[Fit], sign_sources: Sequence[SignSource]) -> CountDeci
         other_counts=float(share[~same].sum()),
         alternatives=tuple(alternatives[:4]),
     )
+
+
+def shared_odds(ratios: Floats) -> Floats:
+    """Odds (n, k) of k defects in n traces by the others, from ratios (n, k) of likelihoods with and without them.
+
+    A stage has a defect never, or in any share of its traces alike. NaN: a trace tells nothing.
+    """
+    known = np.where(np.isnan(ratios), 1.0, np.minimum(ratios, 1e30))
+    logs = np.log1p(np.append(0.0, _RATES)[:, None, None] * (known - 1.0))
+    others = logs.sum(axis=1, keepdims=True) - logs
+    others[0] += np.log(len(_RATES) * (0.5 / ALONE - 0.5))
+    weights = np.exp(others - others.max(axis=0))
+    rate = np.tensordot(_RATES, weights[1:], 1) / weights.sum(axis=0)
+    return np.asarray(rate / (1.0 - rate))

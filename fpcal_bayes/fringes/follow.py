@@ -4,8 +4,8 @@ The joint column then tells when, not where. What the mirror did is read off the
 one number each, an uneven course is a profile of more polynomials. The evidence chooses among them.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -14,6 +14,7 @@ from scipy.linalg import solve_banded
 from scipy.ndimage import gaussian_filter1d
 
 from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.fringes.count import ALONE
 from fpcal_bayes.fringes.fit import Fit, Nuisance, fit_course
 from fpcal_bayes.fringes.misfit import PhaseErrors
 from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile, legendre, lengths_at, loosened, slopes_at
@@ -28,8 +29,8 @@ _LAGS = np.geomspace(2e-3, 0.2, 8)
 #: Polynomials of an uneven course, with its size in um to begin with; fits in which the size settles.
 _SIZINGS = 2
 _COURSES = ((15, 0.1), (30, 0.3), (45, 0.6), (60, 0.6))
-#: Odds of a late start, or of a lag, where nothing speaks for it.
-_LATE_ODDS = 0.01
+#: Odds of a lag where nothing speaks for it.
+_LAG_ODDS = 0.01
 #: Phase in rad within which a late start may be told by few samples.
 _HIDDEN = 3.0 * np.pi
 #: Samples that tell about where a trace's start ends, and averages of that start.
@@ -60,6 +61,10 @@ class Followed:
     lag: float = 0.0  # how long it lags, as a share of half the trace
     size: float = 0.0  # of a course that has polynomials that no joint makes, in um
     hop: float = 0.0  # of the phase, in rad, that explains the trace as well as such a course
+    prior: float = 0.0  # logarithm of the odds of such a mirror, and of the share of late starts that do as well
+    #: How much likelier a late start, and an early stop, makes the trace, NaN where that is not known; the same times
+    #: the square of what is missed in um^2, as far as the fit lacks it. Shape (2, 2).
+    told: Floats = field(default_factory=lambda: np.full((2, 2), np.nan), repr=False)
 
     @cached_property
     def errors(self) -> PhaseErrors:
@@ -74,7 +79,7 @@ class Followed:
     @property
     def evidence(self) -> float:
         """Logarithm of how likely the best fit makes the trace, with the odds of such a mirror."""
-        return self.solution.best.evidence + (float(np.log(_LATE_ODDS)) if self.short or self.lag > 0.0 else 0.0)
+        return self.solution.best.evidence + self.prior
 
     @property
     def short(self) -> bool:
@@ -102,8 +107,12 @@ def follow(
     noise: float,
     mirror_light: float = 0.0,
     errs: bool = False,
+    odds: Sequence[float] = (ALONE, ALONE),
 ) -> Followed | None:
-    """The likeliest course of a mirror, or None: `noise` of a reading in V, `errs`: it is known to leave `smooth`."""
+    """The likeliest course of a mirror, or None: `noise` of a reading in V, `errs`: it is known to leave `smooth`.
+
+    odds: of a late start and of an early stop.
+    """
     found = [smooth.best.profile] if smooth else find_profiles(samples, loosened(profile, DEGREE, 0.3), phase_per_um, 1)
     if not len(found):
         return None
@@ -122,11 +131,11 @@ def follow(
     missed = np.arange(0.0, min(_MOST_LATE, 0.6 * fringes[-1]), _LATE_STEP)
     starts, stops = (np.interp(passed, fringes, _PLACES) for passed in (missed, fringes[-1] - missed))
     if len(missed) > 2:
-        tries.append(_short(samples, size, starts, tries[0], fit))
+        tries.append(_short(samples, size, starts, tries[0], fit, odds[0]))
     tries.append(_lagged(samples, size, tries[0], fit))
     best = max(tries, key=lambda each: each.evidence)
     if len(missed) > 2 and (not best.short or best.errors.probability < DOUBTED):
-        tries.append(_short(samples, size, stops, tries[0], fit))
+        tries.append(_short(samples, size, stops, tries[0], fit, odds[1]))
         best = max(tries, key=lambda each: each.evidence)
     if errs or best.errors.probability < UNLIKELY:
         tries += _uneven(tries[0], profile, fit) + (_uneven(best, profile, fit) if best.short else [])
@@ -137,7 +146,7 @@ def follow(
         own = partial(fit, prior=loosened(profile, len(held.profile), best.size), begin=held.profile)
         along = replace(best, solution=FringeSolution((held,), used))
         for grid in (starts,) if best.set_out > -1.0 else (stops,) if best.stop < 1.0 else (starts, stops):
-            tries.append(replace(_short(samples, size, grid, along, own), size=best.size))
+            tries.append(replace(_short(samples, size, grid, along, own, odds[grid is stops]), size=best.size))
     # The flexible fits tell the noise, and by that noise all are weighed.
     best = max(tries, key=lambda each: each.evidence)
     noise = noise_of(best.solution.best, noise)
@@ -149,7 +158,11 @@ def follow(
         variance = old.ends_variance * (noise / old.noise) ** 2
         new = replace(fit(moved, old, prior, old.profile), ends=old.ends, ends_variance=variance)
         weighed.append(replace(each, solution=FringeSolution((new,), moved)))
-    best = max(weighed, key=lambda each: each.evidence)
+    best, told = max(weighed, key=lambda each: each.evidence), np.full((2, 2), np.nan)
+    for i, ends in enumerate(np.array([(each.set_out > -1.0, each.stop < 1.0) for each in weighed]).T):
+        if ends.any():
+            evidence = np.array([each.evidence for each in weighed]) - np.log(odds[i]) * ends
+            told[i] = np.exp(min(evidence[ends].max() - evidence[~ends].max(), 300.0)), 0.0
     if best.uneven:
         best = _hopped(best, samples, size, tries[0], fit)
     # Courses that do about as well may end elsewhere. None of those that are uneven is as rough as the stage's own, so
@@ -157,49 +170,45 @@ def follow(
     chosen = best.solution.best
     share = np.exp((_CLEARLY if best.uneven else 1.0) * np.array([each.evidence - best.evidence for each in weighed]))
     apart = np.array([each.solution.best.change[0] - chosen.change[0] for each in weighed])
-    wide = replace(chosen, ends_variance=chosen.ends_variance + float(share @ apart**2 / share.sum()))
-    return replace(best, solution=replace(best.solution, fits=(wide,)))
+    spread = apart**2 + np.array([each.solution.best.ends_variance for each in weighed])
+    wide = replace(chosen, ends_variance=float(share @ spread / share.sum()))
+    return replace(best, solution=replace(best.solution, fits=(wide,)), told=told)
 
 
-def hidden(fit: Fit, samples: Samples, phase_per_um: float, end: float = -1.0) -> tuple[bool, float]:
-    """Whether a late start that few samples tell is likelier than none, and the variance that it adds, in um^2.
+def hidden(fit: Fit, samples: Samples, phase_per_um: float, end: float = -1.0) -> tuple[float, float]:
+    """How much likelier than none a late start makes a trace, over all delays, and that times their squares in um^2.
 
     The mirror stands wherever the mean of its first n samples says, provided that the joint is there after n of them:
-    around an extreme of the fringe, far from where the joint begins. end: 1 for an early stop, read backwards.
+    around an extreme of the fringe few samples tell. end: 1 for an early stop, read backwards.
     """
     samples = samples if end < 0.0 else samples.part(slice(None, None, -1))
     first, inside = fit.phase(np.array([end, end * (1.0 - 1e-6)]), phase_per_um).tolist()
     ahead = float(np.sign(inside - first))
     first *= ahead
-    few = samples
-    for _ in range(2):
-        step = 1 + len(few) // _THINNED
-        beyond = ahead * fit.phase(few.s[::step], phase_per_um) > first + _HIDDEN
-        if beyond.any():
-            few = few.part(slice(step * int(np.argmax(beyond)) + (step > 1)))
-    if len(few) < 2:
-        return False, 0.0
-    few = _chunked(few, 1 + len(few) // _THINNED)
+    step = 1 + len(samples) // _THINNED
+    beyond = np.append(ahead * fit.phase(samples.s[::step], phase_per_um) > first + _HIDDEN, True)
+    few = samples.part(slice(step * int(np.argmax(beyond)) + 2))
     level, height = fit.levels(few.s, few.time)
     phase = fit.phase(few.s, phase_per_um)
     wave, signal = fit.wave(phase)[0], (few.signal - level) / height
     phase = ahead * phase
     weight = few.count * (height / fit.noise) ** 2
-    total, mean = np.cumsum(weight)[:-1], (np.cumsum(weight * signal) / np.cumsum(weight))[:-1]
-    # From one sample to the next the fringe passes these heights, its extreme between them included.
-    half = np.floor(phase[1:] / np.pi)
-    top = np.where(half > np.floor(phase[:-1] / np.pi), fit.wave(ahead * np.pi * half)[0], wave[1:])
-    passed = np.sort([wave[:-1], wave[1:], top], axis=0)
-    still = np.clip(mean, passed[0], passed[2])
+    total, mean = np.cumsum(weight), np.cumsum(weight * signal) / np.cumsum(weight)
+    # Between samples and extremes the fringe rises or falls: where it comes nearest to the mean it stood.
+    extremes = np.pi * np.arange(np.ceil(phase[0] / np.pi), phase[-1] / np.pi)
+    edges = np.sort(np.concatenate([phase, extremes]))
+    n = np.clip(np.searchsorted(np.maximum.accumulate(phase), edges[:-1], side="right") - 1, 0, len(phase) - 1)
+    height = np.sort([fit.wave(ahead * edges[:-1])[0], fit.wave(ahead * edges[1:])[0]], axis=0)
+    still, half = np.clip(mean[n], *height), np.floor((edges[:-1] + edges[1:]) / 2.0 / np.pi)
     image = np.pi * half + np.arccos(np.clip(np.where(half % 2.0, -still, still), -1.0, 1.0))
-    shift = (np.clip(image, phase[:-1], phase[1:]) - first) / phase_per_um
-    moves = np.cumsum(weight * ((signal - wave) ** 2 - signal**2))[:-1]
-    gain = 0.5 * (moves + total * (2.0 * mean - still) * still)
-    # A start that explains hardly more than the fit, or that no extreme hides, is left to the fit.
-    gain = np.where((gain > 2.0) & (image > 1.5 * np.pi * np.ceil(first / np.pi) - 0.5 * first), gain, -np.inf)
-    most = max(float(gain.max()), 0.0)
-    share = _LATE_ODDS * np.exp(gain - most) / (np.exp(-most) + _LATE_ODDS * np.exp(gain.max() - most))
-    return bool(share.max() > 0.5), float((share * shift**2).max())
+    shift = (np.clip(image, edges[:-1], edges[1:]) - first) / phase_per_um
+    gain = 0.5 * (
+        np.cumsum(weight * ((signal - wave) ** 2 - signal**2))[n] + total[n] * (2.0 * mean[n] - still) * still
+    )
+    # The mean tells the place so well, but at an extreme no better than these ends.
+    width = np.minimum(np.diff(edges), np.sqrt(2.0 * np.pi / np.maximum(total[n] * (1.0 - still**2), 1e-9)))
+    share = np.exp(np.minimum(gain, 300.0)) * width / (2.0 * np.pi * _MOST_LATE)
+    return float(share.sum()), float(share @ shift**2)
 
 
 _PLACES = np.linspace(-1.0, 1.0, 1025)
@@ -219,7 +228,7 @@ def _lagging(samples: Samples, lag: float) -> Samples:
     return replace(samples, s=first + solve_banded((1, 0), bands, (1.0 - share) * (samples.s - first)))
 
 
-def _short(whole: Samples, size: int, grid: Floats, smooth: Followed, fit: _Fitter) -> Followed:
+def _short(whole: Samples, size: int, grid: Floats, smooth: Followed, fit: _Fitter, odds: float) -> Followed:
     """A mirror that sets out late, or stops early where the places tried run back; what is told poorly widens it."""
     used, first, per_um = smooth.solution.samples, smooth.solution.best, smooth.phase_per_um
     stops = bool(grid[-1] < grid[0])
@@ -257,12 +266,13 @@ def _short(whole: Samples, size: int, grid: Floats, smooth: Followed, fit: _Fitt
     if -order * image < 1.0:
         laid += _laid(at, best.best, float(image), 4.0 * width)
     best, value, _ = max(laid, key=lambda each: each[0].best.evidence)
-    share = np.array([width * np.exp(each.best.evidence - best.best.evidence) for each, _, width in laid])
+    share = np.array([w * (abs(v) < 1.0) * np.exp(each.best.evidence - best.best.evidence) for each, v, w in laid])
     change = np.array([each.best.change[0] for each, *_ in laid]) - best.best.change[0]
     found = at(value, best.best, None, whole)
-    told = replace(found.best, ends_variance=float(share @ change**2 / share.sum()))
-    # Beyond the sweep's own ends a place is none.
-    return Followed(replace(found, fits=(told,)), per_um, *told.ends)
+    told = replace(found.best, ends_variance=float(share @ change**2 / (share.sum() + 1e-300)))
+    covered = float(share.sum() * abs(further - phase) / 1e-6)
+    prior = float(np.log(odds * min(covered / (2.0 * np.pi * _MOST_LATE), 1.0) + 1e-300))
+    return Followed(replace(found, fits=(told,)), per_um, *told.ends, prior=prior)
 
 
 def _lagged(whole: Samples, size: int, smooth: Followed, fit: _Fitter) -> Followed:
@@ -291,7 +301,12 @@ def _lagged(whole: Samples, size: int, smooth: Followed, fit: _Fitter) -> Follow
 
     found = at(lag)
     beside = at(lag * np.exp(min(sd, 0.5))).best.change[0] - found.best.change[0]
-    return Followed(replace(found, fits=(replace(found.best, ends_variance=beside**2),)), per_um, lag=lag)
+    return Followed(
+        replace(found, fits=(replace(found.best, ends_variance=beside**2),)),
+        per_um,
+        lag=lag,
+        prior=float(np.log(_LAG_ODDS)),
+    )
 
 
 def _laid(
@@ -299,21 +314,22 @@ def _laid(
 ) -> list[tuple[FringeSolution, float, float]]:
     """Fits around a number, which need not be normal, with the numbers and the width that each stands for."""
     for _ in range(_ROUNDS):
-        near = value + width * np.linspace(-1.0, 1.0, 9)
+        # Beyond the sweep's own ends a place is none.
+        near = np.clip(value + width * np.linspace(-1.0, 1.0, 9), -1.0, 1.0)
         found = [at(float(each), held) for each in near]
         evidence = np.array([each.best.evidence for each in found])
         share = np.exp(evidence - evidence.max())
         held, value = found[int(np.argmax(share))].best, float(near[int(np.argmax(share))])
-        outside = share[[0, -1]].max() >= 0.05
+        outside = (share * (np.abs(near) < 1.0))[[0, -1]].max() >= 0.05
         if (share > 0.05).sum() >= 3 and not outside:
             break
         if outside:
             width *= 1.5
             continue
         # A parabola through the best three tells where and how wide the next ones lie.
-        i = int(np.argmax(share))
+        i = int(np.clip(np.argmax(share), 1, 7))
         low, mid, high = evidence[i - 1 : i + 2]
-        bend = 2.0 * mid - low - high
+        bend = max(2.0 * mid - low - high, 1e-3)
         value += 0.25 * width * 0.5 * (high - low) / bend
         width *= float(np.clip(0.75 / np.sqrt(bend), 0.1, 0.5))
     return [(each, float(v), 0.25 * width) for each, v in zip(found, near, strict=True)]

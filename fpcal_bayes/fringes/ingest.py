@@ -7,7 +7,7 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.linalg import counted
-from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.fringes.count import Reading, SignSource
 from fpcal_bayes.fringes.fit import CALM, Nuisance
 from fpcal_bayes.fringes.profile import (
@@ -83,9 +83,14 @@ def ingest(
 
 
 def read_index(
-    index: TraceIndex, cell: Cell, *, estimate: Estimate | None = None, settings: IngestSettings | None = None
+    index: TraceIndex,
+    cell: Cell,
+    *,
+    estimate: Estimate | None = None,
+    settings: IngestSettings | None = None,
+    told: Ints | None = None,
 ) -> Ingested:
-    """As `ingest`, doubtful traces alone included."""
+    """As `ingest`, doubtful traces alone included; `told`: rows that are told of, all are read."""
     settings = IngestSettings() if settings is None else settings
     sweeps, paths = index.sweeps, index.sweeps.kind == "path"
     if paths.any():
@@ -106,6 +111,11 @@ def read_index(
     )
     remaining = iter(found)
     readings = tuple(None if each is None else next(remaining) for each in recorded)
+    if told is not None:
+        # What a trace says depends on the others, so that it is read among them.
+        index, sweeps, light = index.take(told), sweeps.take(told), (light[0][told], light[1][told])
+        recorded, readings = [recorded[i] for i in told], tuple(readings[i] for i in told)
+        before, after = tuple(before[i] for i in told), tuple(after[i] for i in told)
 
     parts = []
     for i, reading in enumerate(readings):

@@ -1,19 +1,19 @@
 """Readings of traces, one by one and of a whole campaign."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.fringes.count import CountDecision, Reading, SignSource, decide
+from fpcal_bayes.fringes.count import ALONE, CountDecision, Reading, SignSource, decide, shared_odds
 from fpcal_bayes.fringes.fit import CALM, LIVELY, Fit, Nuisance
 from fpcal_bayes.fringes.follow import DOUBTED, UNLIKELY, Followed, follow, hidden
 from fpcal_bayes.fringes.misfit import PhaseErrors, fringes_seen
 from fpcal_bayes.fringes.profile import DisplacementProfile, lengths_at, slopes_at
 from fpcal_bayes.fringes.samples import Samples, fault
-from fpcal_bayes.fringes.solve import FringeSolution, path_fringes, rescaled, solve, with_noise
+from fpcal_bayes.fringes.solve import path_fringes, rescaled, solve, with_noise
 
 #: Samples a fringe below which a trace is refused, on average and where L moves fastest.
 SPARSE, SPARSEST = 3.0, 2.1
@@ -43,6 +43,8 @@ _TURNED = 0.005
 _AT_EXTREME = 0.15
 #: A late start below this, in um, is left to the uncertainty.
 _SHORT = 0.01
+#: A mirror is followed anew if the other traces change the probability of a late start, or an early stop, by this.
+_CHANGED = 1e-3
 #: What an uneven course adds to the standard deviation of an expected change, in um.
 _UNEVEN = 0.5
 #: Standard deviation of an estimate's prediction is doubled, with this much added, in um: the cell drifts.
@@ -91,57 +93,90 @@ def read_traces(
         None if why else solve(each.samples, each.profile, each.phase_per_um, noise, mirror_light, each.fading)
         for each, why in zip(recorded, faults, strict=True)
     ]
-    pool = _Pool.of([solution.best for solution in solutions if solution is not None])
+    courses = [
+        None if solution is None else Followed(solution, each.phase_per_um)
+        for each, solution in zip(recorded, solutions, strict=True)
+    ]
+    pool = _Pool.of([course.solution.best for course in courses if course])
+    # What a defect leaves, which all may share, is no noise.
+    calm = _Pool.of([course.solution.best for course in courses if course and course.errors.probability > DOUBTED])
+    looks = [
+        None if why else _Look.of(each, course, calm, noise, mirror_light)
+        for each, why, course in zip(recorded, faults, courses, strict=True)
+    ]
+    odds = shared_odds(
+        np.reshape([look.known.told[:, 0] if look and look.known else [np.nan] * 2 for look in looks], (-1, 2))
+    )
     readings = []
-    for each, why, solution in zip(recorded, faults, solutions, strict=True):
-        if why:
-            readings.append(Reading(each.label, refused=why, phase_per_um=each.phase_per_um))
-            continue
-        if solution is not None:
-            sd = pool.noise_of(solution.best)[0] if pool else solution.best.noise
-            other = abs(np.log(sd / solution.best.noise)) > 0.05
-            again = partial(with_noise, profile=each.profile, phase_per_um=each.phase_per_um, mirror_light=mirror_light)
-            solution = again(solution, noise=sd) if other else rescaled(solution, sd)
-        course = _followed(each, solution, noise, mirror_light)
+    for each, why, look, likely in zip(recorded, faults, looks, odds, strict=True):
+        course = look.settled(likely) if look else None
         if course is None or _faint(course[0].solution.best, each.samples):
-            readings.append(Reading(each.label, refused=_unseen(each), phase_per_um=each.phase_per_um))
+            readings.append(Reading(each.label, refused=why or _unseen(each), phase_per_um=each.phase_per_um))
             continue
         readings.append(_reading(each, *course, _excess(course[0], pool, noise)))
     return readings
 
 
-def _followed(
-    each: Recorded, solution: FringeSolution | None, noise: float | None, mirror_light: float
-) -> tuple[Followed, PhaseErrors] | None:
-    """The course of the mirror, the joint's where that explains the trace, and what its fit leaves."""
-    smooth = None if solution is None or _faint(solution.best, each.samples) else Followed(solution, each.phase_per_um)
-    if smooth is not None and smooth.errors.probability > DOUBTED and not each.errs:
-        both = [hidden(smooth.solution.best, each.samples, each.phase_per_um, end) for end in (-1.0, 1.0)]
+@dataclass(frozen=True)
+class _Look:
+    """A trace looked at alone."""
+
+    each: Recorded
+    smooth: Followed | None  # the joint's course, where it has any likeness
+    follow: Callable[..., Followed | None]  # the mirror's at given odds of a late start and an early stop
+    known: Followed | None  # the joint's course where it explains the trace, else the mirror's at odds of one trace
+    errors: PhaseErrors | None  # what the joint's course leaves where it explains the trace
+
+    @classmethod
+    def of(
+        cls, each: Recorded, smooth: Followed | None, pool: "_Pool | None", noise: float | None, mirror_light: float
+    ) -> "_Look":
+        errors = None
+        if smooth is not None:
+            old = smooth.solution
+            errors = None if each.errs or smooth.errors.probability <= DOUBTED else smooth.errors
+            sd = pool.noise_of(old.best)[0] if pool else old.best.noise
+            new = rescaled(old, sd)
+            if abs(np.log(sd / old.best.noise)) > 0.05:
+                new = with_noise(old, each.profile, each.phase_per_um, sd, mirror_light)
+            ends = [hidden(new.best, each.samples, each.phase_per_um, end) for end in (-1.0, 1.0)]
+            smooth = None if _faint(new.best, each.samples) else replace(smooth, solution=new, told=np.array(ends))
+        course, nuisance = (None, CALM) if smooth is None else (smooth.solution, smooth.solution.best.nuisance)
+        sd = noise or 0.005 * float(np.ptp(each.samples.signal))
+        given = each.samples, each.profile, each.phase_per_um, course, nuisance, sd, mirror_light
+        again = partial(follow, *given, errs=each.errs)
+        holds = errors is not None and smooth is not None
+        return cls(each, smooth, again, smooth if holds else again(), errors if holds else None)
+
+    def settled(self, odds: Floats) -> tuple[Followed, PhaseErrors] | None:
+        """The course of the mirror by the odds (2,) of a late start and an early stop, and what its fit leaves."""
+        each, smooth, found = self.each, self.smooth, self.known
+        if found is None:
+            return None
+        ratio, squares = np.nan_to_num(found.told.T)
+        share, alone = (likely * ratio / (1.0 + likely * ratio) for likely in (odds, ALONE))
+        variance = float(odds @ (squares / (1.0 + odds * ratio)))
         # The start and the end are fitted where it matters.
-        if not any(likely and variance > _SHORT**2 for likely, variance in both):
-            return _widened(smooth, both[0][1] + both[1][1]), smooth.errors
-    nuisance = CALM if smooth is None else smooth.solution.best.nuisance
-    sd = noise or 0.005 * float(np.ptp(each.samples.signal))
-    course = None if smooth is None else smooth.solution
-    found = follow(each.samples, each.profile, each.phase_per_um, course, nuisance, sd, mirror_light, errs=each.errs)
-    if smooth is not None and (found is None or not found.astray):
-        # Another course may still be nearly as likely.
-        found = _widened(smooth, 0.0 if found is None else found.solution.best.ends_variance)
-    if found is None:
-        return None
-    # What is left beyond noise counts as slow noise, and either end may be off by as much as the blocks are.
-    errors = found.errors
-    solution = rescaled(found.solution, max(1.0, errors.excess) ** 0.5 * found.solution.best.noise)
-    best = found.solution.best
-    slopes = slopes_at(best.profile, np.array(best.ends)) * 2.0 / (each.end - each.start)
-    added = each.ripple**2 * float(slopes @ slopes)
-    jumps = found.uneven and errors.worst > _MAY_JUMP
-    if jumps or errors.probability < UNLIKELY:
-        added += 2.0 * max(float(np.mean(errors.phase**2 - errors.sd**2)), 0.0) / each.phase_per_um**2
-        if jumps:
-            # A hop leaves half of itself to either side, at half height of the fringe.
-            added += 4.0 * errors.worst * (best.noise / best.amplitude / each.phase_per_um) ** 2
-    return _widened(replace(found, solution=solution), added), errors
+        if self.errors is not None and variance < _SHORT**2:
+            return _widened(found, variance), self.errors
+        if self.errors is not None or np.abs(share - alone).max() > _CHANGED:
+            found = self.follow(odds=odds.tolist()) or found
+        if smooth is not None and not found.astray:
+            # Another course may still be nearly as likely.
+            found = _widened(smooth, found.solution.best.ends_variance)
+        # What is left beyond noise counts as slow noise, and either end may be off by as much as the blocks are.
+        errors = found.errors
+        solution = rescaled(found.solution, max(1.0, errors.excess) ** 0.5 * found.solution.best.noise)
+        best = found.solution.best
+        slopes = slopes_at(best.profile, np.array(best.ends)) * 2.0 / (each.end - each.start)
+        added = each.ripple**2 * float(slopes @ slopes)
+        jumps = found.uneven and errors.worst > _MAY_JUMP
+        if jumps or errors.probability < UNLIKELY:
+            added += 2.0 * max(float(np.mean(errors.phase**2 - errors.sd**2)), 0.0) / each.phase_per_um**2
+            if jumps:
+                # A hop leaves half of itself to either side, at half height of the fringe.
+                added += 4.0 * errors.worst * (best.noise / best.amplitude / each.phase_per_um) ** 2
+        return _widened(replace(found, solution=solution), added), errors
 
 
 def _widened(found: Followed, variance: float) -> Followed:
@@ -296,6 +331,10 @@ def _strayed(each: Recorded, found: Followed, errors: PhaseErrors, verdict: Coun
         return f"the mirror stops {missing:.2f} um early: its pose at the end is not that of the joint"
     if found.stop == 1.0 and missing > 3.0 * sd:
         return f"the trace ends {1e3 * missing:.0f} nm before the mirror stands still"
+    if not (found.uneven or found.lag) and sd > _VAGUE and 2.0 * verdict.fit.ends_variance > sd**2:
+        return (
+            f"the mirror may set out, or stop, elsewhere: an extreme of the fringe hides it (sigma {1e3 * sd:.0f} nm)"
+        )
     if found.uneven and _turned_back(found, verdict.fit.profile) > _TURNED + _turned_back(found, each.profile.mean):
         turns = verdict.fit.phase(_turns(verdict.fit), each.phase_per_um) / np.pi
         if (np.abs(turns - np.rint(turns)) < _AT_EXTREME).any():

@@ -2,13 +2,7 @@
 
 from fpcal_bayes.core.lazy import lazy
 
-#: Names that are used outside the package, and the module of the room in which each stands.
-_PLACES = {
-    "load_cell": "cell",
-    "read_recordings": "recordings",
-    "read_sweeps": "sweeps",
-    "write_csv": "sweeps",
-    "write_sweeps": "sweeps",
-}
+#: Modules of the room, and the names of each that are used outside it.
+_PLACES = {"cell": "load_cell", "recordings": "read_recordings", "sweeps": "read_sweeps write_csv write_sweeps"}
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

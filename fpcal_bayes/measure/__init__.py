@@ -2,21 +2,14 @@
 
 from fpcal_bayes.core.lazy import lazy
 
-#: Names that are used outside the package, and the module of the room in which each stands.
+#: Modules of the room, and the names of each that are used outside it.
 _PLACES = {
-    "PROTOCOLS": "protocol",
-    "Sweeps": "sweeps",
-    "Trace": "traces",
-    "TraceIndex": "recordings",
-    "Truth": "truth",
-    "drive_of_sweeps": "sharing",
-    "join": "sweeps",
-    "paper_protocol": "protocol",
-    "paper_truth": "truth",
-    "pool": "sweeps",
-    "protocol_by_name": "protocol",
-    "read_often": "protocol",
-    "single_sweep": "protocol",
+    "protocol": "PROTOCOLS paper_protocol protocol_by_name read_often single_sweep",
+    "recordings": "TraceIndex",
+    "sharing": "drive_of_sweeps",
+    "sweeps": "Sweeps join pool",
+    "traces": "Trace",
+    "truth": "Truth paper_truth",
 }
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

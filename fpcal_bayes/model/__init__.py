@@ -2,25 +2,18 @@
 
 from fpcal_bayes.core.lazy import lazy
 
-#: Names that are used outside the package, and the module of the room in which each stands.
+#: Modules of the room, and the names of each that are used outside it.
 _PLACES = {
-    "CavityModel": "cavity",
-    "Cell": "cell.cell",
-    "EXTRINSICS": "parameters",
-    "Estimate": "estimate",
-    "InverseModel": "inverse",
-    "Joint": "cell.joints",
-    "JointMechanics": "cell.error_motions",
-    "LINK_SLOTS": "parameters",
-    "Mechanics": "cell.error_motions",
-    "Rows": "cavity",
-    "TERMS": "cell.error_motions",
-    "Terms": "mechanics.terms",
-    "UNITS": "parameters",
-    "design": "mechanics.design",
-    "fringe": "interferometer",
-    "group_of": "mechanics.terms",
-    "make_parameters": "cell.cell",
+    "cavity": "CavityModel Rows",
+    "cell.cell": "Cell make_parameters",
+    "cell.error_motions": "JointMechanics Mechanics TERMS",
+    "cell.joints": "Joint",
+    "estimate": "Estimate",
+    "interferometer": "fringe",
+    "inverse": "InverseModel",
+    "mechanics.design": "design",
+    "mechanics.terms": "Terms group_of",
+    "parameters": "EXTRINSICS LINK_SLOTS UNITS",
 }
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

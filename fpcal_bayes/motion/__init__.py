@@ -2,13 +2,7 @@
 
 from fpcal_bayes.core.lazy import lazy
 
-#: Names that are used outside the package, and the module of the room in which each stands.
-_PLACES = {
-    "Controller": "controller",
-    "compensated": "compensation",
-    "TASKS": "tasks",
-    "Task": "tasks",
-    "task_path": "tasks",
-}
+#: Modules of the room, and the names of each that are used outside it.
+_PLACES = {"compensation": "compensated", "controller": "Controller", "tasks": "TASKS Task task_path"}
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

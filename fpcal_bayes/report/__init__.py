@@ -2,15 +2,15 @@
 
 from fpcal_bayes.core.lazy import lazy
 
-#: Names that are used outside the package, and the module of the room in which each stands.
+#: Modules of the room, and the names of each that are used outside it.
 _PLACES = {
-    "cell_figure": "cell_picture",
-    "draw_frontier": "plan_figures",
-    "draw_plan": "plan_figures",
-    "plain_table": "table",
-    "save_figure": "pages",
-    "verification_lines": "verification",
-    "write_campaign_report": "campaign.page",
+    "campaign.page": "write_campaign_report",
+    "cell_picture": "cell_figure",
+    "fringes": "draw_sweep",
+    "pages": "save_figure",
+    "plan_figures": "draw_frontier draw_plan",
+    "table": "plain_table",
+    "verification": "verification_lines",
 }
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

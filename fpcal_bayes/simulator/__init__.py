@@ -2,14 +2,12 @@
 
 from fpcal_bayes.core.lazy import lazy
 
-#: Names that are used outside the package, and the module of the room in which each stands.
+#: Modules of the room, and the names of each that are used outside it.
 _PLACES = {
-    "Machine": "machine",
-    "MachineSettings": "machine",
-    "RecorderSettings": "optics",
-    "noise_free": "sweeps",
-    "record_sweeps": "recorder",
-    "simulate_um": "sweeps",
+    "machine": "Machine MachineSettings",
+    "optics": "RecorderSettings",
+    "recorder": "record_sweeps",
+    "sweeps": "noise_free simulate_um",
 }
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

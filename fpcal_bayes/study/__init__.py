@@ -2,17 +2,11 @@
 
 from fpcal_bayes.core.lazy import lazy
 
-#: Names that are used outside the package, and the module of the room in which each stands.
+#: Modules of the room, and the names of each that are used outside it.
 _PLACES = {
-    "FAMILY_WISE": "sbc",
-    "PROTOCOLS": "sbc",
-    "PosteriorRanks": "sbc",
-    "RANKED": "sbc",
-    "SESSIONS": "paper_week",
-    "drawn_truth": "base",
-    "measure_week": "paper_week",
-    "quantities": "sbc",
-    "sbc_plan": "sbc",
+    "base": "drawn_truth",
+    "paper_week": "SESSIONS measure_week",
+    "sbc": "FAMILY_WISE PROTOCOLS PosteriorRanks RANKED quantities sbc_plan",
 }
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

@@ -2,27 +2,16 @@
 
 from fpcal_bayes.core.lazy import lazy
 
-#: Names that are used outside the package, and the module of the room in which each stands.
+#: Modules of the room, and the names of each that are used outside it.
 _PLACES = {
-    "DriftModel": "drift",
-    "Limits": "alarms",
-    "LinearMeasurement": "measurement",
-    "SessionOutcome": "session",
-    "State": "drift",
-    "SweepMeasurement": "measurement",
-    "Track": "tracker",
-    "calibrate": "tracker",
-    "estimate_of": "tracker",
-    "follow_sessions": "smoother",
-    "followed_drift": "session",
-    "likely_terms": "drift",
-    "predict": "filter",
-    "propagated": "drift",
-    "smooth": "smoother",
-    "take_in": "session",
-    "track": "tracker",
-    "update": "filter",
-    "with_learnt_pace": "fit_sizes",
+    "alarms": "Limits",
+    "drift": "DriftModel State likely_terms propagated",
+    "filter": "predict update",
+    "fit_sizes": "with_learnt_pace",
+    "measurement": "LinearMeasurement SweepMeasurement",
+    "session": "SessionOutcome followed_drift take_in",
+    "smoother": "follow_sessions smooth",
+    "tracker": "Track calibrate estimate_of track",
 }
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

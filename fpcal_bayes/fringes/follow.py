@@ -188,6 +188,7 @@ def hidden(fit: Fit, samples: Samples, phase_per_um: float, end: float = -1.0) -
     step = 1 + len(samples) // _THINNED
     beyond = np.append(ahead * fit.phase(samples.s[::step], phase_per_um) > first + _HIDDEN, True)
     few = samples.part(slice(step * int(np.argmax(beyond)) + 2))
+    few = _chunked(few, 1 + len(few) // _THINNED)
     level, height = fit.levels(few.s, few.time)
     phase = fit.phase(few.s, phase_per_um)
     wave, signal = fit.wave(phase)[0], (few.signal - level) / height
@@ -198,13 +199,13 @@ def hidden(fit: Fit, samples: Samples, phase_per_um: float, end: float = -1.0) -
     extremes = np.pi * np.arange(np.ceil(phase[0] / np.pi), phase[-1] / np.pi)
     edges = np.sort(np.concatenate([phase, extremes]))
     n = np.clip(np.searchsorted(np.maximum.accumulate(phase), edges[:-1], side="right") - 1, 0, len(phase) - 1)
-    height = np.sort([fit.wave(ahead * edges[:-1])[0], fit.wave(ahead * edges[1:])[0]], axis=0)
-    still, half = np.clip(mean[n], *height), np.floor((edges[:-1] + edges[1:]) / 2.0 / np.pi)
+    height = fit.wave(ahead * edges)[0]
+    low, high = np.sort([height[:-1], height[1:]], axis=0)
+    still, half = np.clip(mean[n], low, high), np.floor((edges[:-1] + edges[1:]) / 2.0 / np.pi)
     image = np.pi * half + np.arccos(np.clip(np.where(half % 2.0, -still, still), -1.0, 1.0))
     shift = (np.clip(image, edges[:-1], edges[1:]) - first) / phase_per_um
-    gain = 0.5 * (
-        np.cumsum(weight * ((signal - wave) ** 2 - signal**2))[n] + total[n] * (2.0 * mean[n] - still) * still
-    )
+    moves = np.cumsum(weight * ((signal - wave) ** 2 - signal**2))
+    gain = 0.5 * (moves[n] + total[n] * (2.0 * mean[n] - still) * still)
     # The mean tells the place so well, but at an extreme no better than these ends.
     width = np.minimum(np.diff(edges), np.sqrt(2.0 * np.pi / np.maximum(total[n] * (1.0 - still**2), 1e-9)))
     share = np.exp(np.minimum(gain, 300.0)) * width / (2.0 * np.pi * _MOST_LATE)

@@ -172,3 +172,9 @@ def test_the_commands_write_the_verdict(tmp_path, sweeps, monkeypatch, capsys):
     assert "is the calibration itself" in capsys.readouterr().err
     assert main(["plan", "--validation", "4", "-o", "w.csv", *none]) == 2
     assert "expected --after FILE" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("wrong", [{"n": 0}, {"n": -1}, {"n": 3, "sigma": 0.0}, {"n": 3, "sigma": np.nan}])
+def test_numbers_of_a_validation_plan_are_above_zero(found, wrong):
+    with pytest.raises(fp.InputError, match="expected numbers above zero"):
+        validation_plan(found, **wrong)

@@ -123,12 +123,12 @@ class Design:
         for draw, root in enumerate(roots.transpose(0, 2, 1)):
             points, seen = self.tasks[draw] @ root, self.rows[draw].reshape(-1, n) @ root
             products, variances = (seen @ points.T).reshape(n_candidates, k, -1), (points**2).sum(axis=1)
-            noise = np.tile(np.eye(k), (n_candidates, 1, 1))
+            noise, sign = np.tile(np.eye(k), (n_candidates, 1, 1)), 1.0
             if few:
                 alone, noise, before = (part[draw] for part in self._alone)
-                products, variances = alone - products, before - variances
+                products, variances, sign = alone - products, before - variances, -1.0
             seen = seen.reshape(n_candidates, k, -1)
-            add_left(noise, seen, -1.0 if few else 1.0, products, variances, self.task_start, worst, left)
+            add_left(noise, seen, sign, products, variances, self.task_start, worst, left)
         return np.asarray(left / n_draws)
 
     @cached_property

@@ -58,31 +58,32 @@ def validation_plan(
     limits
         Of the sweeps; the cell's envelope narrows them.
     tasks, radius
-        As of `verify`, each with the cell's own tolerance, or 0.05 um.
+        As of `verify`, each with the cell's own tolerance, or 0.05 um; without one all.
     candidates
         Random sweeps to choose from.
 
     Raises
     ------
     InputError
-        If the calibration is not to be used, or a sweep may leave the cell's envelope.
+        If the calibration is not to be used, a number is not above zero, or a sweep may leave the cell's envelope.
     """
     estimate, fitted, cell = found.estimate, found.problem.sweeps, found.estimate.cell
     if not estimate.trust.usable:
         raise InputError(f"{fitted.file}: the calibration is not to be used: {estimate.trust.against}")
+    if n < 1 or not 0 < sigma < np.inf:
+        raise InputError(f"{n} sweeps, sd {sigma:g} um of a reading: expected numbers above zero")
     model, draws = estimate_draws(estimate)
-    limits = (SweepLimits() if limits is None else limits).within_envelope(model, draws)
+    limits = (limits or SweepLimits()).within_envelope(model, draws)
     number, rng = max(candidates, n), np.random.default_rng(seed)
     values = found.problem.values(found.solution.unknowns)
     whole = candidate_sweeps(cell, n=number, rng=rng, values=values, limits=limits, several=False)
     rows = pool([fitted, read_often(whole, readings).with_measurement(np.zeros(number * readings), sigma)])
     expected = Expected.of(found, rows, np.arange(len(rows)) < len(fitted))
-    effects = effects_of(expected, worthwhile(estimate, tasks, _TOLERANCE, radius), seed=seed)
+    effects = effects_of(expected, worthwhile(estimate, tasks or None, _TOLERANCE, radius), seed=seed)
     sweep = np.repeat(np.arange(number), readings)
     chosen = choose(expected, effects, sweep, n)
-    sweeps = in_short_order(
-        cell, replace(whole.take(np.array(chosen)), label=np.array([f"v{i + 1}" for i in range(n)]))
-    )
+    labels = np.array([f"v{i + 1}" for i in range(n)])
+    sweeps = in_short_order(cell, replace(whole.take(np.array(chosen)), label=labels))
     require_within_envelope(model, draws, sweeps.q_start, sweeps.q_end, file="plan")
     rows_of = np.flatnonzero(np.isin(sweep, chosen))
     covariance: Floats = expected.covariance[np.ix_(rows_of, rows_of)]

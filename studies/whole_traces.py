@@ -13,7 +13,7 @@ errors of one calibration go together, so that its 21 squares are worth about ei
 `--fast` reads the same light of the 69 sweeps in an eighth of the time: no scans, no search and no counts of fringes;
 each trace is fitted from its true course on, with the nuisances and the noise of the product, and the parameters from
 their true values on. It agrees with the whole way to a few hundredths of a standard deviation. With
-`--mechanics` traces are read at their middle and end, the way of each mirror searched for, which takes 20 s a truth;
+`--mechanics` traces are read at their middle and end, the way of each mirror searched for, which takes 15 s a truth;
 `--fast` then takes such readings as they are, with the noise that they state. The machines have the sizes that the cell
 states; with `--drawn` sizes and noise are drawn as the fit expects them, a factor of three about what is stated.
 """

@@ -2,7 +2,6 @@
 
 import argparse
 import contextlib
-import ctypes
 import sys
 
 from rich.console import Console
@@ -20,9 +19,6 @@ from fpcal_bayes.report.posterior import posterior_table
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    with contextlib.suppress(AttributeError, OSError, TypeError):
-        # glibc goes on holding arrays of up to 32 MB that are freed: those of many rows are to go back at once.
-        ctypes.CDLL(None).mallopt(-3, 1_000_000)  # M_MMAP_THRESHOLD
     require_suffix(options.output, ".nc")
     sweeps = rows_of(options, cell)
     sweeps, prior, before = with_prior(options.prior, cell, sweeps)

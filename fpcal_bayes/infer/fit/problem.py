@@ -211,11 +211,14 @@ class Problem(Brief):
         block = max(1, 8_000_000 // (len(self.target) * self.n_unknowns))
         for first in range(0, len(points), block):
             part = points[first : first + block]
-            # The products of these are those of the whitened rows.
-            change, scaled = self.unwhitened_batch(part)
-            weighed = self.whitening.weigh_each(change)
+            weighed, scaled = self._weighed_batch(part)
             result[first : first + block] = (weighed[:, None, :] @ scaled)[:, 0, :] + part
         return result
+
+    def _weighed_batch(self, points: Floats) -> tuple[Floats, Floats]:
+        """Rows and derivatives whose products are those of the whitened ones."""
+        change, scaled = self.unwhitened_batch(points)
+        return self.whitening.weigh_each(change), scaled
 
     def residuals(self, unknowns: Floats) -> Floats:
         """Whitened data rows, then prior rows, shape (n_rows + n_unknowns,)."""

@@ -166,3 +166,28 @@ def test_a_search_that_reaches_its_limit_still_gives_signs(monkeypatch):
     assert not result.signs.complete
     assert any("ended at its limit" in w for w in result.warnings)
     np.testing.assert_array_equal(np.abs(result.signs.target), np.abs(sweeps.dl))
+
+
+def few_unsigned(seed: int) -> tuple[np.ndarray, Sweeps, Sweeps]:
+    """A truth drawn from the prior, and 10 to 19 sweeps of it with 1 nm of noise, with and without signs."""
+    random = np.random.default_rng(seed)
+    truth = FREE.nominal + FREE.prior_sd * random.standard_normal(len(FREE))
+    n = int(random.integers(10, 20))
+    plan = PLAN.take(np.sort(random.choice(len(PLAN), n, replace=False)))
+    sweeps = simulate_um(CELL, replace(paper_truth(CELL), times_h=np.zeros(1), values=truth[None]), plan, sigma=0.001,
+        seed=seed)  # fmt: skip
+    return truth, sweeps, without_signs(sweeps)
+
+
+def test_a_sign_that_linear_prediction_excludes_is_tried():
+    _, sweeps, unsigned = few_unsigned(66)
+    found = identify(CELL, unsigned)
+    assert found.solution.sum_of_squares < identify(CELL, sweeps).solution.sum_of_squares + 1e-6
+
+
+@pytest.mark.parametrize("seed", [21, 33, 55])
+def test_a_sign_in_doubt_widens_the_estimate(seed):
+    truth, _, unsigned = few_unsigned(seed)
+    found = identify(CELL, unsigned)
+    assert found.doubtful_signs
+    assert np.abs((found.estimate.values - truth) / found.estimate.sd).max() < 5.0

@@ -53,8 +53,7 @@ def motion_curves(estimate: Estimate) -> list[MotionCurve]:
         values = factor * weights[:, own] @ basis[:, there].T
         size = scales[:, knowledge.scales.index(motion.scale)]
         stated = factor * np.sqrt((basis[:, there] ** 2).sum(axis=1))
-        prior = np.median(size) * stated
-        shown = 1.0 - float((values.var(axis=0) / np.maximum(prior**2, 1e-30)).mean())
+        shown = 1.0 - float((values.var(axis=0) / np.maximum((np.median(size) * stated) ** 2, 1e-30)).mean())
         least, middle, most = np.quantile(values, [0.025, 0.5, 0.975], axis=0)
         about = motion.name, unit, cell.joints[i].unit, q / cell.joint_scales[i]
         curves.append(MotionCurve(*about, least, middle, most, stated, shown, i, motion.direction))

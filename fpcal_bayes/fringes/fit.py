@@ -106,8 +106,7 @@ class Fit:
         n_offset, n_gain, n_fade = self.nuisance.counts
         u, at = self.unknowns, n_offset + n_gain
         over_time = legendre(time, max(n_offset, n_gain) - 1)
-        logarithm = over_time[:, :n_gain] @ u[n_offset:at] + legendre(s, n_fade)[:, 1:] @ u[at : at + n_fade]
-        height = np.exp(logarithm)
+        height = np.exp(over_time[:, :n_gain] @ u[n_offset:at] + legendre(s, n_fade)[:, 1:] @ u[at : at + n_fade])
         return over_time[:, :n_offset] @ u[:n_offset] + u[at + n_fade] * height**2, height
 
     def wave(self, phase: Floats) -> tuple[Floats, Floats]:

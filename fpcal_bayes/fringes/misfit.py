@@ -93,8 +93,7 @@ class PhaseErrors:
         others += [felt * np.array([np.sin(turn), np.cos(turn)]) for turn in np.pi * np.outer(_RIPPLES, s)]
         nothing = np.zeros_like(s)
         beside = np.array([[nothing, nothing], *others, [line[:, 2], nothing], [line[:, 2], line[:, 3]]])
-        straight = np.broadcast_to(line[:, :2].T, (len(beside), 2, len(s)))
-        scaled = np.concatenate([straight, beside], axis=1) / self.sd
+        scaled = np.concatenate([np.broadcast_to(line[:, :2].T, (len(beside), 2, len(s))), beside], axis=1) / self.sd
         size = np.einsum("mij,mij->mi", scaled, scaled)
         count = (size > 0.0).sum(axis=1)
         gram = scaled @ scaled.transpose(0, 2, 1) + (1e-10 * size + (size == 0.0))[:, :, None] * np.eye(4)

@@ -107,8 +107,7 @@ def prior_profiles(cell: Cell, sweeps: Sweeps) -> list[DisplacementProfile]:
     parameters = ParameterSet(p for p in cell.parameters if p.prior_sd > 0)
     generator = np.random.default_rng(_SEED)
     sds = np.array([p.prior_sd for p in parameters])
-    draws = parameters.nominal + sds * generator.standard_normal((_DRAWS, len(parameters)))
-    halves = np.array_split(draws, 2)
+    halves = np.array_split(parameters.nominal + sds * generator.standard_normal((_DRAWS, len(parameters))), 2)
     models = [CavityModel.of(cell.with_opd(opd), parameters) for opd in ("axis", "perpendicular")]
     q, fit = nodes(sweeps, DEGREE)
     lengths = [model.predict(half, model.pose_rows(q)) for model, half in zip(models, halves, strict=True)]

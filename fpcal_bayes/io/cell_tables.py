@@ -114,8 +114,7 @@ def _groups(reader: Tables, stated: Any, n_joints: int) -> tuple[tuple[int, ...]
     if isinstance(stated, list) and all(isinstance(group, list) for group in stated):
         groups = stated
     if (stated and not groups) or any(not isinstance(name, str) or name not in names for g in groups for name in g):
-        shown = ", ".join(names)
-        what = f'expected groups of joints such as [["q1", "q2"]], from {shown}; [] for none'
+        what = f'expected groups of joints such as [["q1", "q2"]], from {", ".join(names)}; [] for none'
         raise reader.error("envelope.together", what)
     return tuple(tuple(sorted({names[name] for name in group})) for group in groups if group)
 

@@ -70,8 +70,7 @@ class Estimate(Result):
 
     def content(self) -> dict[str, Any]:
         """The JSON content: parameters, covariance, cell, data, times."""
-        exact = np.diag(self.covariance) == 0
-        uncertain = [i for i in range(len(self.parameters)) if not exact[i]]
+        uncertain = np.flatnonzero(np.diag(self.covariance)).tolist()
         scales = self.parameters.scales[uncertain]
         matrix = self.covariance[np.ix_(uncertain, uncertain)] / np.outer(scales, scales)
         return {

@@ -244,8 +244,7 @@ class Controller:
     def _warn_if_stale(self) -> None:
         if self._told:
             return
-        now_h = read_now(None, self.estimate) if self._now_h is None else self._now_h()
-        text = stale_text(self.estimate, now_h)
+        text = stale_text(self.estimate, read_now(None, self.estimate) if self._now_h is None else self._now_h())
         if text is not None:
             self._told = True
             warnings.warn(text, StaleEstimateWarning, stacklevel=3)

@@ -211,7 +211,9 @@ def identify(
     unknowns, own = solution.unknowns, model.free.positions(chosen.names)
     spectrum = spectrum_of(problem.prior_scaled_jacobian(unknowns)[:, own])
     covariance = problem.covariance(unknowns) if machine is None else covariance_of(machine)
-    covariance = spread_over(problem, covariance, solution, others)
+    # Error motions are fitted with one choice of signs.
+    told = signs.rivals if signs is not None and machine is None and len(whole.target) == len(problem.target) else ()
+    covariance = spread_over(problem, covariance, solution, [*others, *told])
     status = statuses(spectrum.null_share, np.diag(covariance)[own] / problem.prior.sd[own] ** 2)
     by_name = dict(zip(chosen.names, status, strict=True))
     noise_only = fit = goodness_of_fit(problem, unknowns)

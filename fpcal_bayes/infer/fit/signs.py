@@ -80,12 +80,20 @@ def decide_signs(problem: Problem, start: Floats) -> SignDecision:
         told = alike.odds(problem.target, *branch.predict(problem))
         target = np.where(branch.taken, branch.target, np.copysign(1.0, told) * problem.target)
         finished = [_settle(problem, alike, _Branch(target, np.ones_like(signed), branch.solution))]
-    chosen = min(finished, key=lambda branch: branch.solution.sum_of_squares)
-    flipped = _flip_doubt(problem.with_target(chosen.target), alike, chosen.solution)
+    while True:
+        chosen = min(finished, key=lambda branch: branch.solution.sum_of_squares)
+        flipped = _flip_doubt(problem.with_target(chosen.target), alike, chosen.solution)
+        # That is linear as well: what it does not clearly exclude is fitted.
+        near = flipped > np.exp(-_DECISIVE_LOG_ODDS * _WIDENING**2)
+        near &= ~signed & alike.last & (alike.odds(problem.target, problem.target) >= _SEPARABLE**2)
+        others = [alike.first == alike.first[row] for row in np.flatnonzero(near)]
+        finished += [_settle(problem, alike, chosen.with_signs(rows, -chosen.target, problem)) for rows in others]
+        if min(each.solution.sum_of_squares for each in finished) > chosen.solution.sum_of_squares - 1e-6:
+            break
     doubt = np.where(signed | ~alike.last, 0.0, np.maximum(_rival_doubt(chosen, finished), flipped))
     most = chosen.solution.sum_of_squares + _RIVAL_EXCESS
-    near = [branch.solution for branch in finished if branch.solution.sum_of_squares < most]
-    rivals = distinct_minima(problem.with_target(chosen.target), chosen.solution, near)[:_MOST_RIVALS]
+    alike_good = [branch.solution for branch in finished if branch.solution.sum_of_squares < most]
+    rivals = distinct_minima(problem.with_target(chosen.target), chosen.solution, alike_good)[:_MOST_RIVALS]
     return SignDecision(chosen.target, chosen.solution, doubt, complete, rivals)
 
 

@@ -153,5 +153,4 @@ def central_draw(model: CavityModel, draws: Floats, task_name: str, *, radius: f
     """The draw (n_free,) whose lengths along a task are nearest to the mean: the mean draw is off the surface."""
     task = find_task(model.cell, model.vector(draws[0]), task_name, radius=radius)
     changes = task_errors(model, draws, draws[0], task)
-    nearest = int(np.argmin(((changes - changes.mean(axis=0)) ** 2).sum(axis=1)))
-    return np.asarray(draws[nearest].copy())
+    return np.asarray(draws[int(np.argmin(((changes - changes.mean(axis=0)) ** 2).sum(axis=1)))].copy())

@@ -92,8 +92,7 @@ def effects_of(expected: Expected, tasks: Sequence[tuple[Task, float, float]], *
         names, found = [], []
         for kind in dict.fromkeys(kinds):
             weights = rng.standard_normal((_DRAWS, len(kinds))) * (np.array(kinds) == kind)
-            off = np.ptp(weights @ left.T, axis=1)
-            size = max(tolerance, BEYOND_BAND * band) / np.maximum(off, 1e-15)
+            size = max(tolerance, BEYOND_BAND * band) / np.maximum(np.ptp(weights @ left.T, axis=1), 1e-15)
             if np.median(size) > _ABSURD:
                 continue
             names += [kind] * _DRAWS

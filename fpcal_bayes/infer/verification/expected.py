@@ -143,8 +143,7 @@ class Expected:
             _, spread = self.conditional(log)
             half = linalg.solve_triangular(lower, spread, lower=True)
             sizes = linalg.eigvalsh(linalg.solve_triangular(lower, half.T, lower=True))
-            drawn = rng.chisquare(1.0, (_DRAWS_PER_SCALE, n)) @ sizes
-            larger.append(float((drawn >= score).mean()))
+            larger.append(float((rng.chisquare(1.0, (_DRAWS_PER_SCALE, n)) @ sizes >= score).mean()))
         return (float(np.mean(larger)) * len(larger) * _DRAWS_PER_SCALE + 1.0) / (len(larger) * _DRAWS_PER_SCALE + 1.0)
 
     def _parts(self, log: Floats) -> tuple[Floats, Whitening]:

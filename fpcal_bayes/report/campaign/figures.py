@@ -37,8 +37,7 @@ def task_figure(facts: CampaignFacts) -> str:
             errors = 1e3 * prediction.errors
             typical = errors[np.argsort(np.ptp(errors, axis=1))[len(errors) // 2]]
             axis.plot(along, typical, color=BLUE, linewidth=0.9, label="an error of median size")
-            label = f"tolerance, {2 * half:g} nm"
-            axis.axhline(half, color=VERMILION, linestyle="--", linewidth=1, label=label)
+            axis.axhline(half, color=VERMILION, linestyle="--", linewidth=1, label=f"tolerance, {2 * half:g} nm")
             axis.axhline(-half, color=VERMILION, linestyle="--", linewidth=1)
             most = 1.15 * max(half, float(np.abs([low, high, typical]).max()))
             title = drawable(outlook.name) + (" (to be held)" if outlook.asked else "")

@@ -166,7 +166,7 @@ def one_truth(cell: Cell, name: str, plan: Sweeps, seed: int) -> dict[str, objec
     }
     for task_name in TASKS:
         try:
-            task = task_path(cell, model.vector(fit.values), task_name, n_points=PATH_POINTS)
+            task = task_path(cell, model.vector(fit.values), task_name, n_points=PATH_POINTS).driven()
         except InputError:
             # The truth can be aligned, the estimate of it by a little not.
             continue

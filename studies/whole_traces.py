@@ -178,7 +178,7 @@ def machine_errors(estimate: Estimate, truth: Truth, seed: int, sizes: Mechanics
     machine = Machine.draw(cell, sizes, vector, np.random.default_rng([seed, 5]))
     model = CavityModel.of(cell, estimate.parameters)
     for name in TASKS:
-        task = task_path(cell, estimate.vector(), name, n_points=PATH_POINTS)
+        task = task_path(cell, estimate.vector(), name, n_points=PATH_POINTS).driven()
         rows = model.rows(np.repeat(task.start[None], len(task), axis=0), task.q)
         error = machine.path(task.start, task.q, 0.0) - model.predict(estimate.values, rows)
         ahead = predict_from_covariance(estimate, task, draws=1000, seed=seed).errors

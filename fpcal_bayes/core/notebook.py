@@ -10,7 +10,7 @@ import numpy as np
 
 from fpcal_bayes.core.lazy import lazy
 
-_load = lazy("fpcal_bayes.report", dict.fromkeys(("shown", "write", "arviz_tree"), "notebook"))[1]
+_load = lazy("fpcal_bayes.report", {"notebook": "shown write arviz_tree"})[1]
 
 
 class Result:

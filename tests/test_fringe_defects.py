@@ -124,16 +124,21 @@ def test_a_late_start_that_two_samples_show_is_seen(femto: Cell) -> None:
 
 def test_odds_of_a_defect_are_learnt_from_the_other_traces() -> None:
     """A stage has it never or in a share of its traces; what tells nothing changes nothing."""
-    assert shared_odds(np.zeros((0, 2))).shape == (0, 2)
-    assert shared_odds(np.array([[1e9], [np.nan], [np.nan]])) == pytest.approx(
+    assert shared_odds(np.zeros((0, 2)), np.zeros(0)).shape == (0, 2)
+    assert shared_odds(np.array([[1e9], [np.nan], [np.nan]]), np.zeros(3)) == pytest.approx(
         np.array([[ALONE], [2.0], [2.0]]), rel=0.02
     )
-    clean = shared_odds(np.full((20, 1), 1e-3))
+    clean = shared_odds(np.full((20, 1), 1e-3), np.zeros(20))
     assert (clean < 0.01 * ALONE).all()
-    late = shared_odds(np.array([[0.02], *[[1e12]] * 19]))
+    late = shared_odds(np.array([[0.02], *[[1e12]] * 19]), np.zeros(20))
     assert late[0, 0] == pytest.approx(20.0, rel=0.1)
     # One of twenty: by Laplace's rule of succession.
-    assert shared_odds(np.array([[0.02], [1e12], *[[0.0]] * 18]))[0, 0] == pytest.approx(2.0 / 19.0, rel=0.1)
+    one = shared_odds(np.array([[0.02], [1e12], *[[0.0]] * 18]), np.zeros(20))
+    assert one[0, 0] == pytest.approx(2.0 / 19.0, rel=0.1)
+    # What one joint has, says nothing of another.
+    apart = shared_odds(np.array([[0.02], *[[1e12]] * 19, *[[1e-3]] * 20]), np.repeat([0, 1], 20))
+    assert apart[0] == pytest.approx(late[0])
+    assert apart[20] == pytest.approx(clean[0])
 
 
 @pytest.mark.parametrize("end", ["start", "end"])

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.linalg import covariance_root, quantile_band
+from fpcal_bayes.core.linalg import counted, covariance_root, quantile_band
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.fringes.count import Reading
 from fpcal_bayes.fringes.fit import fit_course
@@ -35,8 +35,9 @@ def trace_rows(cell: Cell, index: TraceIndex, *, session: str | None = None) -> 
     On a perfect mechanism each trace is fitted along the course that the ends and middles of all expect, and the prior
     of that course is taken off again: the rows hold what the signal says. With error motions the traces are read by
     their fringes, at their middle and their end: at more places the errors that grow on the way between the ends (lost
-    motion, return) are not those that the mechanics know. Traces that are doubtful, that no course fits or whose mirror
-    sets out late are left out and named; less than a fringe tells its course to a tenth of a um, and not normally.
+    motion, return) are not those that the mechanics know. A doubtful trace counts by the scans at its ends; without
+    them, or where no course fits or the mirror sets out late, it is left out. Both are named; less than a fringe tells
+    its course to a tenth of a um, and not normally.
     """
     of = np.isin(index.sweeps.session, index.sweeps.of_session(session).sessions) & (index.sweeps.kind == "sweep")
     index = index.take(np.flatnonzero(of))
@@ -72,11 +73,13 @@ def trace_rows(cell: Cell, index: TraceIndex, *, session: str | None = None) -> 
     if not along:
         raise InputError(f"{sweeps.file}: no trace is the course of its joint: expected traces that are")
     rest = [i for i in range(len(sweeps)) if i not in along and i not in scanned]
-    named = {
-        "known by their scans alone, doubtful or too short to follow": list(scanned),
-        "left out, doubtful or of a mirror that is off its joint's course": rest,
-    }
-    said = [f"{what}: {', '.join(sweeps.label[rows][:12])}" for what, rows in named.items() if rows]
+    kinds = [
+        ("known by their scans alone, doubtful or too short to follow", list(scanned)),
+        ("left out, doubtful or of a mirror that is off its joint's course", rest),
+    ]
+    said = [
+        f"{counted(len(rows), 'trace')} {what}: {', '.join(sweeps.label[rows][:12])}" for what, rows in kinds if rows
+    ]
     return join([*along.values(), *scanned.values()], sweeps.file), said
 
 
@@ -85,7 +88,9 @@ def _by_scans(found: Ingested, sweeps: Sweeps) -> dict[int, Sweeps]:
     rows = {}
     for i, (reading, *scans) in enumerate(zip(found.readings, found.scans_before, found.scans_after, strict=True)):
         first, last = (scan if scan is not None and scan.good else None for scan in scans)
-        if reading is not None and reading.doubt and not (reading.late or reading.uneven) and first and last:
+        if reading is None or reading.late or reading.uneven or reading.strayed:
+            continue
+        if reading.doubt and first and last:
             one, change = sweeps.take(np.array([i])), np.array([last.length - first.length])
             one = one.with_measurement(change, float(np.hypot(first.sigma, last.sigma)))
             rows[i] = replace(one, signed=np.ones(1, dtype=bool), group=np.array([""]))

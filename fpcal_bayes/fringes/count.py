@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.fringes.fit import Fit
 from fpcal_bayes.fringes.profile import legendre
 
@@ -42,6 +42,7 @@ class Reading:
     uneven: bool = False  # whether it left the joint's course between them
     refused: str = ""  # why the trace gives no number at all; empty where it gives one
     doubt: str = ""  # why the number is not to be relied on; empty where it is
+    strayed: bool = False  # whether that is what the mirror did, or the light
     alternatives: tuple[float, ...] = ()  # other changes, in um, that the trace allows
     samples_a_fringe: float = np.nan  # on average, while the joint moves
     noise: float = np.nan  # standard deviation of one sample, in V
@@ -148,14 +149,14 @@ def decide(fits: Sequence[Fit], sign_sources: Sequence[SignSource]) -> CountDeci
     )
 
 
-def shared_odds(ratios: Floats) -> Floats:
+def shared_odds(ratios: Floats, joints: Ints) -> Floats:
     """Odds (n, k) of k defects in n traces by the others, from ratios (n, k) of likelihoods with and without them.
 
-    A stage has a defect never, or in any share of its traces alike. NaN: a trace tells nothing.
+    A joint, of `joints` (n,), has a defect never, or in any share of its traces alike. NaN: a trace tells nothing.
     """
     known = np.where(np.isnan(ratios), 1.0, np.minimum(ratios, 1e30))
     logs = np.log1p(np.append(0.0, _RATES)[:, None, None] * (known - 1.0))
-    others = logs.sum(axis=1, keepdims=True) - logs
+    others = np.tensordot(logs, joints[:, None] == joints, (1, 0)).transpose(0, 2, 1) - logs
     others[0] += np.log(len(_RATES) * (0.5 / ALONE - 0.5))
     weights = np.exp(others - others.max(axis=0))
     rate = np.tensordot(_RATES, weights[1:], 1) / weights.sum(axis=0)

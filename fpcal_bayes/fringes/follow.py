@@ -159,9 +159,10 @@ def follow(
         new = replace(fit(moved, old, prior, old.profile), ends=old.ends, ends_variance=variance)
         weighed.append(replace(each, solution=FringeSolution((new,), moved)))
     best, told = max(weighed, key=lambda each: each.evidence), np.full((2, 2), np.nan)
-    for i, ends in enumerate(np.array([(each.set_out > -1.0, each.stop < 1.0) for each in weighed]).T):
-        if ends.any():
-            evidence = np.array([each.evidence for each in weighed]) - np.log(odds[i]) * ends
+    alike = [each for each in weighed if each.uneven == best.uneven]
+    for i, ends in enumerate(np.array([(each.set_out > -1.0, each.stop < 1.0) for each in alike]).T):
+        if ends.any() and not ends.all():
+            evidence = np.array([each.evidence for each in alike]) - np.log(odds[i]) * ends
             told[i] = np.exp(min(evidence[ends].max() - evidence[~ends].max(), 300.0)), 0.0
     if best.uneven:
         best = _hopped(best, samples, size, tries[0], fit)

@@ -218,6 +218,7 @@ def _record(
                 wavelength=float(wavelength[i]),
                 wavelength_share=float(share[i]),
                 fading=fading[i],
+                joint=joint,
                 errs=sizes is not None,
                 ripple=float(encoder[joint] / np.sqrt(2.0)),
                 sign_sources=tuple(sign_sources),

@@ -65,6 +65,7 @@ class Recorded:
     wavelength: float  # in the air of the cavity, in um
     wavelength_share: float = 0.0  # its relative standard deviation
     fading: Nuisance = LIVELY  # how visibility may fade along it
+    joint: int = 0  # that moves
     errs: bool = False  # whether the cell states error motions, which no joint's course has
     ripple: float = 0.0  # standard deviation of the joint's periodic error, which no course follows, in um or rad
     #: Changes that others expect, the most trustworthy first; the cell's priors need not be named.
@@ -104,9 +105,8 @@ def read_traces(
         None if why else _Look.of(each, course, calm, noise, mirror_light)
         for each, why, course in zip(recorded, faults, courses, strict=True)
     ]
-    odds = shared_odds(
-        np.reshape([look.known.told[:, 0] if look and look.known else [np.nan] * 2 for look in looks], (-1, 2))
-    )
+    told = [look.known.told[:, 0] if look and look.known else np.full(2, np.nan) for look in looks]
+    odds = shared_odds(np.reshape(told, (-1, 2)), np.array([each.joint for each in recorded]))
     readings = []
     for each, why, look, likely in zip(recorded, faults, looks, odds, strict=True):
         course = look.settled(likely) if look else None
@@ -281,6 +281,7 @@ def _reading(each: Recorded, found: Followed, errors: PhaseErrors, excess: float
         seen = f"{min(density, least):.2g} samples a fringe"
         return replace(known, refused=f"sparse: {seen}, expected {SPARSE:g} or more")
     sigma = sd if verdict.signed else float(np.hypot(sd, each.wavelength_share * dl))
+    strayed = _strayed(each, found, errors, verdict, sd)
     return replace(
         known,
         dl=sign * dl,
@@ -293,8 +294,8 @@ def _reading(each: Recorded, found: Followed, errors: PhaseErrors, excess: float
         stop=found.stop,
         late=(found.set_out - found.stop + 2.0) / 2.0 * abs(each.end - each.start),
         uneven=found.uneven,
-        doubt=_strayed(each, found, errors, verdict, sd)
-        or _doubt(verdict, sd, excess, fringes, each.errs or found.astray),
+        doubt=strayed or _doubt(verdict, sd, excess, fringes, each.errs or found.astray),
+        strayed=bool(strayed),
         alternatives=verdict.alternatives if verdict.doubtful else (),
         profile=sign * fit.profile,
         profile_covariance=fit.covariance,
@@ -384,8 +385,7 @@ def _density(samples: Samples, profile: Floats, phase_per_um: float) -> tuple[fl
 def _beyond_sampling(each: Recorded) -> str:
     """Why the samples cannot follow the change that is expected with certainty; empty if they can."""
     for sign_source in (*each.sign_sources, SignSource(each.profile.dl, each.profile.dl_sd, "the cell's priors")):
-        least = abs(sign_source.dl) - 6.0 * sign_source.sd
-        fringes = least * each.phase_per_um / (2.0 * np.pi)
+        fringes = (abs(sign_source.dl) - 6.0 * sign_source.sd) * each.phase_per_um / (2.0 * np.pi)
         if fringes > 0 and len(each.samples) / fringes < SPARSE:
             return f"sparse: {len(each.samples)} samples for {fringes:.0f} fringes or more, by {sign_source.source}"
     return ""

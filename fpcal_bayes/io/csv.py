@@ -164,8 +164,7 @@ def write_numbers(path: Path, names: tuple[str, ...], columns: Iterable[Floats])
     """Write columns of numbers such that the same numbers are read back, whole or not at all."""
     # repr gives the shortest text that reads back as the same number; adding zero turns -0 into 0.
     texts = [map(repr, (column + 0.0).tolist()) for column in columns]
-    lines = "\n".join(map(",".join, zip(*texts, strict=True)))
-    write_text(path, f"{','.join(names)}\n{lines}\n")
+    write_text(path, "\n".join([",".join(names), *map(",".join, zip(*texts, strict=True)), ""]))
 
 
 def formatted(values: Floats) -> list[str]:

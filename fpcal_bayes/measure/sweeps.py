@@ -162,8 +162,7 @@ class Sweeps:
     def approach_signs(self) -> Floats:
         """Stated directions of approach as -1, 0 (not stated), +1, shape (n, n_joints)."""
         known = {text: [float("-0+".index(sign) - 1) for sign in text] for text in set(self.approach.tolist()) if text}
-        nothing = [0.0] * self.q_end.shape[1]
-        return np.array([known.get(text, nothing) for text in self.approach.tolist()])
+        return np.array([known.get(text, [0.0] * self.q_end.shape[1]) for text in self.approach.tolist()])
 
     @cached_property
     def sessions(self) -> tuple[str, ...]:

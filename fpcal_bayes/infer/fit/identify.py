@@ -211,8 +211,11 @@ def identify(
     unknowns, own = solution.unknowns, model.free.positions(chosen.names)
     spectrum = spectrum_of(problem.prior_scaled_jacobian(unknowns)[:, own])
     covariance = problem.covariance(unknowns) if machine is None else covariance_of(machine)
-    # Error motions are fitted with one choice of signs.
-    told = signs.rivals if signs is not None and machine is None and len(whole.target) == len(problem.target) else ()
+    told: list[Solution] = []
+    if signs is not None and machine is None and len(whole.target) == len(problem.target):
+        # Error motions are fitted with one choice of signs; priors may have changed since others were weighed.
+        since = solution.sum_of_squares - signs.solution.sum_of_squares
+        told = [replace(each, sum_of_squares=each.sum_of_squares + since) for each in signs.rivals]
     covariance = spread_over(problem, covariance, solution, [*others, *told])
     status = statuses(spectrum.null_share, np.diag(covariance)[own] / problem.prior.sd[own] ** 2)
     by_name = dict(zip(chosen.names, status, strict=True))

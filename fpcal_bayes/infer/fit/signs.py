@@ -88,9 +88,10 @@ def decide_signs(problem: Problem, start: Floats) -> SignDecision:
         near &= ~signed & alike.last & (alike.odds(problem.target, problem.target) >= _SEPARABLE**2)
         others = [alike.first == alike.first[row] for row in np.flatnonzero(near)]
         finished += [_settle(problem, alike, chosen.with_signs(rows, -chosen.target, problem)) for rows in others]
-        if min(each.solution.sum_of_squares for each in finished) > chosen.solution.sum_of_squares - 1e-6:
+        if not min(each.solution.sum_of_squares for each in finished) < chosen.solution.sum_of_squares - 1e-6:
             break
-    doubt = np.where(signed | ~alike.last, 0.0, np.maximum(_rival_doubt(chosen, finished), flipped))
+    doubt = np.where(near, 0.0, flipped)
+    doubt = np.where(signed | ~alike.last, 0.0, np.maximum(_rival_doubt(chosen, finished), doubt))
     most = chosen.solution.sum_of_squares + _RIVAL_EXCESS
     alike_good = [branch.solution for branch in finished if branch.solution.sum_of_squares < most]
     rivals = distinct_minima(problem.with_target(chosen.target), chosen.solution, alike_good)[:_MOST_RIVALS]

@@ -172,8 +172,7 @@ def batch_lengths(question: Question) -> Floats:
         fill_block(slots, values[block : block + here], n_links, vector, cosine, sine)
         optical_axis(cosine, sine, n_links, axis_is_z, axis, n_lanes)
         for g in range(n_groups):
-            joints = group_q[g], group_cos[g], group_sin[g]
-            carry_plane(whole, revolute, used, joints, plane, slope, n_lanes)
+            carry_plane(whole, revolute, used, (group_q[g], group_cos[g], group_sin[g]), plane, slope, n_lanes)
             nx, ny, nz, height = plane[0], plane[1], plane[2], plane[3]
             for lane in range(n_lanes):
                 height[lane] -= nx[lane] * x[lane] + ny[lane] * y[lane] + nz[lane] * z[lane]

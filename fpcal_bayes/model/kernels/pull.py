@@ -54,8 +54,7 @@ def joint_pulls(question: Question, columns: Ints, pulls: Floats) -> Floats:
                 if not revolute[link]:
                     vector[STRIDE * link + R] = block_vector[STRIDE * link + R, 0] + prismatic_q[ends[p], prismatic]
                     prismatic += 1
-            joints = group_q[g], group_cos[g], group_sin[g]
-            chain_axes((vector, cosine, sine), revolute, joints, frame, axes)
+            chain_axes((vector, cosine, sine), revolute, (group_q[g], group_cos[g], group_sin[g]), frame, axes)
             by_n[:], by_d[:], turned[:], behind[:] = 0.0, 0.0, 0.0, 0.0
             height = facing = along_n = along_d = 0.0
             for i in range(3):

@@ -12,7 +12,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.rig.clock import Halt, Halted
 from fpcal_bayes.rig.drivers import pi
 from fpcal_bayes.rig.drivers.attocube import AttocubeIDS, IDSSettings
-from fpcal_bayes.rig.drivers.interface import Address, CommandLog, DeviceError, Disturbed
+from fpcal_bayes.rig.drivers.interface import Address, CommandLog, DeviceError, Disturbed, shown
 from fpcal_bayes.rig.drivers.link import Link
 from fpcal_bayes.rig.drivers.pi import PIStage
 
@@ -263,45 +263,122 @@ def test_stop_says_what_it_is_not_sure_of(bench, cell_live):
     assert re.fullmatch(rf"MCS-3D: not sure that its axes stand \(MCS-3D at {ADDRESS}: .*\)", doubt)
 
 
-def test_the_log_counts_what_repeats(cell_live, tmp_path, monkeypatch):
-    seconds = [0.0]
-    monkeypatch.setattr("fpcal_bayes.rig.drivers.interface.time.monotonic", lambda: seconds[0])
-    log = CommandLog(tmp_path / "c.log", cell_live.rig.clock)
+@pytest.fixture
+def log(cell_live, tmp_path, monkeypatch):
+    """A log on a clock that stands unless it is set: `said` has its lines without their times."""
+    found = CommandLog(tmp_path / "c.log", cell_live.rig.clock)
+    found.seconds = 0.0
+    found.said = lambda: [line.split(" ", 1)[1] for line in (tmp_path / "c.log").read_text().splitlines()]
+    monkeypatch.setattr("fpcal_bayes.rig.drivers.interface.time.monotonic", lambda: found.seconds)
+    yield found
+    found.close()
+
+
+def exchange(log, device, *messages):
+    """Requests and their answers."""
+    for request, answer in zip(messages[::2], messages[1::2], strict=True):
+        log.write(device, ">", request)
+        log.write(device, "<", answer)
+
+
+def test_the_log_counts_what_repeats(log):
     log.write("A", ">", "MOV 1 5")
     # Two and a half seconds of looks at a joint on its way, two questions each.
     for look in range(250):
-        seconds[0] = 0.01 * look
-        for question in ("POS?", "ONT?"):
-            log.write("A", ">", question)
-            log.write("A", "<", f"{question} {look}")
+        log.seconds = 0.01 * look
+        exchange(log, "A", "POS?", f"{look}", "ONT?", f"on {look}")
     log.write("B", ">", "POS?")
     log.write("A", ">", "STP")
-    log.close()
-    lines = [line.split(" ", 1)[1] for line in (tmp_path / "c.log").read_text().splitlines()]
-    assert lines[:5] == ["A > MOV 1 5", "A > POS?", "A < POS? 0", "A > ONT?", "A < ONT? 0"]
+    lines = log.said()
+    assert lines[:5] == ["A > MOV 1 5", "A > POS?", "A < 0", "A > ONT?", "A < on 0"]
     assert "A > POS? (99 alike before it)" in lines
-    assert lines[-4:] == ["B > POS?", "A > ONT? (48 alike before it)", "A < ONT? 249", "A > STP"]
+    last = ["A > POS? (48 alike before it)", "A < 249", "A > ONT? (49 alike before it)", "A < on 249", "B > POS?"]
+    assert lines[-6:] == [*last, "A > STP"]
+    for question in ("POS?", "ONT?"):
+        found = [re.fullmatch(rf"A > {re.escape(question)}(?: \((\d+) alike before it\))?", line) for line in lines]
+        assert sum(1 + int(match[1] or 0) for match in found if match) == 250
     # Of 1,002 lines.
     assert len(lines) < 25
 
 
-def test_requests_that_differ_in_their_number_are_alike_in_the_log(cell_live, tmp_path):
-    log = CommandLog(tmp_path / "c.log", cell_live.rig.clock)
+def test_requests_that_differ_in_their_number_are_alike_in_the_log(log):
     for number in range(9):
-        log.write("IDS", ">", json.dumps({"method": "watch", "id": number}))
-        log.write("IDS", "<", json.dumps({"result": [0], "id": number}))
+        method = "com.attocube.ids.displacement.getAbsolutePositions"
+        exchange(log, "IDS", json.dumps({"method": method, "id": number}), json.dumps({"result": [0], "id": number}))
     log.write("IDS", "-", "the connection is lost")
-    log.close()
-    first, _, last, answer, remark = (tmp_path / "c.log").read_text().splitlines()
+    first, _, last, answer, remark = log.said()
     assert '"id": 0}' in first
     assert '"id": 8} (7 alike before it)' in last
     assert '"id": 8}' in answer
-    assert remark.endswith("IDS - the connection is lost")
+    assert remark == "IDS - the connection is lost"
 
 
-def test_the_log_has_every_message(bench, cell_live):
+@pytest.mark.parametrize(
+    "command",
+    [
+        "MOV 1 5\n",
+        "\x18",
+        ":STOP1\r\n:STOP2\r\n",
+        ":MOVE1 5\r\n",
+        ":SYST:ERR?\r\n",
+        ":CHAN1:STAT?\r\n:MOVE1 5\r\n",
+        '{"jsonrpc": "2.0", "method": "com.attocube.ids.system.startMeasurement", "params": [], "id": 1}',
+        "record trace.csv 'what? '",
+    ],
+)
+def test_commands_stand_in_the_log_at_once_with_their_answers(log, command):
+    for _ in range(3):
+        log.write("A", ">", command)
+        assert log.said()[-1] == f"A > {shown(command, 400)}"
+        log.write("A", "<", "done")
+        assert log.said()[-1] == "A < done"
+    assert len(log.said()) == 6
+
+
+def test_looks_after_a_command_are_none_that_repeat(log):
+    looks = ["POS?", "1", "ERR?", "0"]
+    for _ in range(2):
+        exchange(log, "A", *looks)
+        log.write("A", ">", "\x18")
+        log.write("A", "-", "connected")
+        log.write("A", ">", "\x18")
+    asked = ["A > POS?", "A < 1", "A > ERR?", "A < 0"]
+    assert log.said() == [*asked, r"A > \x18", "A - connected", r"A > \x18"] * 2
+
+
+def test_the_last_look_stands_in_a_log_that_is_closed(log):
+    exchange(log, "A", *["POS?", "1"] * 4, "POS?", "2")
+    assert log.said() == ["A > POS?", "A < 1"]
+    log.close()
+    assert log.said() == ["A > POS?", "A < 1", "A > POS? (3 alike before it)", "A < 2"]
+    log.write("A", ">", "POS?")
+    log.check()
+
+
+def test_what_is_said_between_a_look_and_its_answer(log):
+    exchange(log, "A", "POS?", "1")
+    log.write("A", ">", "POS?")
+    log.write("A", "-", "slow")
+    log.write("A", "<", "2")
+    log.write("B", "<", "unasked")
+    exchange(log, "A", "POS?", "3")
+    assert log.said() == [*("A > POS?", "A < 1", "A > POS?", "A - slow", "A < 2", "B < unasked", "A > POS?", "A < 3")]
+
+
+def test_writing_to_a_full_disk_never_raises(cell_live, tmp_path):
+    (tmp_path / "full.log").symlink_to("/dev/full")
+    log = CommandLog(tmp_path / "full.log", cell_live.rig.clock)
+    exchange(log, "A", *["POS?", "1"] * 3, "STP", "0")
+    with pytest.raises(InputError, match=r"full\.log: cannot be written \(No space left on device\)"):
+        log.check()
+    log.close()
+
+
+def test_the_log_of_a_move(bench, cell_live):
     bench.go(np.zeros(6) + 1e-3, "a move")
     text = (cell_live.folder / "commands.log").read_text()
     for part in ("E-712 > MOV ", "MCS-3D > :MOVE1 ", "E-712 < 1=150", "IDS3010 > {", "connected to 127.0.0.1"):
         assert part in text
     assert all(re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z [\w-]+ [<>-] ", line) for line in text.splitlines())
+    # Nothing is left out but looks: the error of a move is asked at once, and its answer stands below.
+    assert re.search(r"E-712 > MOV .*\n.* E-712 > ERR\?\n.* E-712 < 0\n", text)

@@ -49,9 +49,8 @@ def origin_of(ticket: Ticket, campaign: Sweeps | None, now_s: float) -> Origin:
     if ticket.plan is not None:
         for session in ticket.plan.sessions:
             if session in campaign.sessions:
-                raise InputError(
-                    f"{ticket.file}: session {session!r} is in the campaign already: the ticket is used up"
-                )
+                what = "is in the campaign already: the ticket is used up"
+                raise InputError(f"{ticket.file}: session {session!r} {what}")
     last, stamped = float(campaign.time_h.max()), [i for i, text in enumerate(campaign.utc) if text]
     if not stamped:
         return Origin(now_s - 3600.0 * max(planned, last), False)
@@ -207,9 +206,8 @@ class Agenda:
         own = self._head()
         for name in ("schema", "ticket_sha256", "cell_sha256", "rig", "devices"):
             if head.get(name) != own[name]:
-                raise InputError(
-                    f"{self._journal}: key {name}: left by another ticket, cell or rig: remove it to begin anew"
-                )
+                what = "left by another ticket, cell or rig: remove it to begin anew"
+                raise InputError(f"{self._journal}: key {name}: {what}")
         self.origin = Origin(float(head["origin_s"]), bool(head["origin_known"]))
         for outcome in outcomes:
             self.outcomes.pop(outcome["_id"], None)

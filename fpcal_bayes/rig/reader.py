@@ -86,9 +86,8 @@ class _Reader(Tables):
             raise self.error(place, "the cell does not say how a controller counts this joint, expected it to")
         name = self.line(table, place, "controller", stated.name)
         if name not in controllers:
-            raise self.error(
-                f"{place}.controller", f"expected one of {', '.join(sorted(controllers))}, found {name!r:.60}"
-            )
+            expected = ", ".join(sorted(controllers))
+            raise self.error(f"{place}.controller", f"expected one of {expected}, found {name!r:.60}")
         return settings.JointSettings(
             replace(stated, name=name, channel=self.line(table, place, "channel", stated.channel)),
             speed=self.number(table, place, f"speed_{unit}_s", low=1e-9, high=1e6) * scale,

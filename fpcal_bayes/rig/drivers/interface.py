@@ -15,8 +15,10 @@ from fpcal_bayes.rig.clock import Clock
 
 #: What a log line holds of one message.
 _LOGGED = 400
-#: How often the same message is written, in s of the wall.
+#: How often looks that are alike are written, in s of the wall.
 _ALIKE_S = 1.0
+#: A line that asks and changes nothing: a query (but the one that takes from SCPI's queue), or a getter of JSON-RPC.
+_LOOK = re.compile(r'(?!:SYST:ERR\?)[^\s?]+\?(\s|$)|\{.*"method": "[\w.]+\.get[A-Z]')
 
 
 class DeviceError(InputError):
@@ -89,18 +91,18 @@ class Interferometer(Protocol):
 class CommandLog:
     """A log of the messages to and from the devices, a line each, in the cell's time.
 
-    Of looks at a joint on its way, alike but for a request's number, one a second is written with its answer, and the
-    last before the device is told anything else; each says how many were alike before it.
+    Looks ask and change nothing. Of those alike but for a request's number one a second is written with its answer, and
+    the last before whatever is written next; each says how many were left out before it. All else is written at once.
     """
 
     def __init__(self, path: Path | None, clock: Clock) -> None:
         self._clock = clock
         self._file: IO[str] | None = None
         self._broken, self._path = "", path
-        # Of messages when one was written (s of the wall) and how many since; of devices if the last is left out.
-        self._sent: dict[tuple[str, str], tuple[float, int]] = {}
-        self._left_out: dict[str, bool] = {}
-        self._last: dict[str, list[str]] = {}
+        # Of looks since a command: when one was written (s of the wall) and how many were not since; the last of these.
+        self._asked: dict[str, str] = {}
+        self._seen: dict[str, tuple[float, int]] = {}
+        self._held: dict[str, list[str]] = {}
         if path is not None:
             try:
                 self._file = path.open("a", encoding="utf-8", buffering=1)
@@ -111,18 +113,30 @@ class CommandLog:
         """Add a line; `mark` is ``>`` for what is sent, ``<`` for what comes back, ``-`` for a remark."""
         line = f"{iso(self._clock.now())} {device} {mark} {shown(text, _LOGGED)}"
         if mark == ">":
-            key, now = (device, re.sub(r'"id": \d+', "", text)), time.monotonic()
-            at, count = self._sent.get(key, (-math.inf, 0))
-            again = self._left_out[device] = now - at < _ALIKE_S
-            self._sent[key] = (at, count + 1) if again else (now, 0)
-            self._last[device] = [] if again else self._last.get(device, [])
-            line += f" ({count} alike before it)" if count else ""
-        if mark != "-" and self._left_out.get(device):
-            self._last[device].append(line)
-            return
+            self._asked[device] = f"{device} {re.sub(r'"id": [0-9]+', '', text)}"
+        asked = self._asked.get(device, "")
+        if mark == "<" and asked in self._held:
+            self._held[asked].append(line)
+        elif mark == ">" and all(map(_LOOK.match, text.splitlines())):
+            at, count = self._seen.get(asked, (-math.inf, 0))
+            self._held.pop(asked, None)  # The file goes by time.
+            self._held[asked] = [line + (f" ({count} alike before it)" if count else "")]
+            self._seen[asked] = (at, count + 1)
+            if time.monotonic() - at >= _ALIKE_S:
+                self._put()
+        else:
+            self._put(line)
+            if mark != "<":
+                self._seen.clear()
+
+    def _put(self, *lines: str) -> None:
+        """Write the looks that are held, then lines."""
+        held = [line for look in self._held.values() for line in look]
+        self._seen.update(dict.fromkeys(self._held, (time.monotonic(), 0)))
+        self._held.clear()
         try:
             if self._file is not None:
-                self._file.writelines(f"{each}\n" for each in (*self._last.pop(device, ()), line))
+                self._file.writelines(f"{line}\n" for line in (*held, *lines))
         except OSError as error:
             self._broken = f"{self._path}: cannot be written ({error.strerror})"
             self.close()
@@ -133,7 +147,8 @@ class CommandLog:
             raise InputError(self._broken)
 
     def close(self) -> None:
-        """Close the file."""
+        """Write what is left and close the file."""
+        self._put()
         with contextlib.suppress(OSError):
             if self._file is not None:
                 self._file.close()

@@ -74,24 +74,20 @@ class Link:
         except OSError as error:
             raise self.error(f"the connection is lost ({_reason(error, self.timeout_s)})") from error
 
-    def shout(self, message: str) -> bool:
-        """Send a message without any wait, whatever state the connection is in; whether it could be sent."""
+    def shout(self, message: str) -> None:
+        """Send a message without any wait, if the connection is in a state to take it."""
         self._log.write(self.device, ">", message)
-        if self._socket is None:
-            return False
-        try:
-            return self._socket.send(message.encode("latin-1")) == len(message)
-        except OSError:
-            return False
+        with contextlib.suppress(OSError):
+            if self._socket is not None:
+                self._socket.send(message.encode("latin-1"))
 
     def take(self, length_of: Callable[[bytes], int]) -> str:
         """Wait for the answer sent last; `length_of` the bytes so far tells its length, or 0 while it is incomplete."""
         end = time.monotonic() + self.timeout_s
         while (length := length_of(bytes(self._buffer))) == 0:
             self._more(end)
-        answer = bytes(self._buffer[:length])
+        text = self._buffer[:length].decode("latin-1")
         del self._buffer[:length]
-        text = answer.decode("latin-1")
         self._log.write(self.device, "<", text)
         return text
 

@@ -45,15 +45,16 @@ class SmarActStage:
             for bit, name in ((_CALIBRATED, "calibrated"), (_REFERENCED, "referenced")):
                 if not state & bit:
                     raise self._link.error(f"channel {axis.channel} is not {name}: do that by hand, then start again")
-            self._tell(f":CHAN{axis.channel}:MMOD 0")
-            self._tell(f":CHAN{axis.channel}:VEL {round(speed / wire)}")
+            self._link.send(f":CHAN{axis.channel}:MMOD 0{_END}")
+            self._link.send(f":CHAN{axis.channel}:VEL {round(speed / wire)}{_END}")
         self._require_no_error(":CHAN:VEL")
 
     def move(self, positions: Floats) -> None:
         """Start to move, channel by channel."""
         for axis, q, before, wire in zip(self._axes, positions, self._targets, self._wire, strict=True):
             if q != before:
-                self._tell(f":MOVE{axis.channel} {round(self._count(axis, q, wire))}")
+                count = float(axis.reading_of(np.asarray(q))) * axis.per_unit / wire
+                self._link.send(f":MOVE{axis.channel} {round(count)}{_END}")
         self._require_no_error(":MOVE")
         self._targets = positions.copy()
 
@@ -84,13 +85,6 @@ class SmarActStage:
         self._link.open()
         self.stop()
         return not any(state & _MOVING for state in self._numbers("STAT"))
-
-    @staticmethod
-    def _count(axis: ControllerAxis, q: float, wire: float) -> float:
-        return float(axis.reading_of(np.asarray(q))) * axis.per_unit / wire
-
-    def _tell(self, command: str) -> None:
-        self._link.send(command + _END)
 
     def _numbers(self, what: str) -> list[int]:
         queries = [f":CHAN{axis.channel}:{what}?{_END}" for axis in self._axes]

@@ -141,8 +141,7 @@ class SimulatedCell:
         """True cavity length now, in um."""
         now, time_h = self.clock.now(), self.time_h()
         q = np.array([axis.at(now) + axis.offset for axis in self.axes])
-        model = self._model
-        found = float(model.predict(self.truth.at(time_h), model.pose_rows(q[None]))[0])
+        found = float(self._model.predict(self.truth.at(time_h), self._model.pose_rows(q[None]))[0])
         if self.machine is not None:
             found += self.machine.length_change(q, np.array([axis.approach for axis in self.axes]), time_h)
         return found
@@ -181,9 +180,8 @@ class EmulatedController:
 
 def next_line(buffer: bytearray) -> str | None:
     """Take a whole line from the buffer's beginning; None where its end has not come."""
-    if b"\n" not in buffer:
+    line, end, _ = buffer.partition(b"\n")
+    if not end:
         return None
-    end = buffer.index(b"\n")
-    text = bytes(buffer[:end]).decode("latin-1").strip()
-    del buffer[: end + 1]
-    return text
+    del buffer[: len(line) + 1]
+    return line.decode("latin-1").strip()

@@ -12,14 +12,22 @@ from fpcal_bayes.infer.design.candidates import candidate_sweeps
 from fpcal_bayes.infer.design.exchange import choose_sweeps, reference_of
 from fpcal_bayes.infer.design.order import duration
 from fpcal_bayes.infer.design.plan import Planner, PlanSettings
-from fpcal_bayes.infer.design.problem import Ground, estimate_ground, goals_of, prior_ground, shortfalls
+from fpcal_bayes.infer.design.problem import (
+    DEFAULT_TASKS,
+    Ground,
+    estimate_ground,
+    goals_of,
+    measured_ground,
+    prior_ground,
+    shortfalls,
+)
 from fpcal_bayes.infer.design.rows import sweep_rows
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.tasks.error import linear_task_sd, task_errors, task_jacobian
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol, read_often
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.measure.truth import Truth
+from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
@@ -147,6 +155,17 @@ def test_what_few_sweeps_leave_undetermined(cell: Cell, ground: Ground) -> None:
     sentences = shortfalls(ground, few)
     assert any("1 sweep leaves task tilt-x undetermined" in sentence for sentence in sentences)
     assert shortfalls(ground, paper_protocol(cell)) == []
+    # A day's drift that a sweep tells nothing of is left undetermined; what measured sweeps have told is not.
+    known = paper_estimate(cell)
+    moved = np.array([p.kind == "extrinsic" for p in cell.free]) * 0.02 * cell.free.prior_sd
+    later = estimate_ground(replace(known, covariance=known.covariance + np.diag(moved**2)))
+    still = replace(few, q_end=few.q_start)
+    assert [" undetermined: " in s for s in shortfalls(later, still)] == [True] * len(DEFAULT_TASKS)
+    assert shortfalls(replace(later, measured=True), still) == []
+    measured = measured_ground(
+        known, simulate_um(cell, paper_truth(cell), paper_protocol(cell), sigma=0.005, seed=0), draws=2
+    )
+    assert shortfalls(measured, still) == []
 
 
 def test_numbers_of_numpy(cell: Cell) -> None:

@@ -130,7 +130,6 @@ def _plan(
         warnings.append("the estimate knows nothing of the cell's mechanics: the expected sd are of a perfect one")
     if ground.goals.dropped:
         warnings.append(f"{ground.goals.dropped} of {options.draws} draws are left out: a task is out of reach there")
-
     frontier = None
     if options.frontier is not None:
         frontier = planner.frontier(check, max(len(ordered), _MOST_FRONTIER), bar.part("frontier"))

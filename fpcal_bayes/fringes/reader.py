@@ -237,8 +237,7 @@ class _Pool:
         # Around the median, the mean square is the better estimate.
         values = np.log(np.maximum(own / size if relative else own, 1e-12))
         near = np.abs(values - centre) < 0.5
-        level = np.sqrt((freedom[near] @ np.exp(2.0 * values[near])) / freedom[near].sum())
-        return cls(float(level), relative)
+        return cls(float(np.sqrt((freedom[near] @ np.exp(2.0 * values[near])) / freedom[near].sum())), relative)
 
     def noise_of(self, fit: Fit) -> tuple[float, float]:
         """Noise of one reading of a trace in V, and its residuals relative to what the campaign lets expect."""
@@ -384,8 +383,7 @@ def _density(samples: Samples, profile: Floats, phase_per_um: float) -> tuple[fl
 def _beyond_sampling(each: Recorded) -> str:
     """Why the samples cannot follow the change that is expected with certainty; empty if they can."""
     for sign_source in (*each.sign_sources, SignSource(each.profile.dl, each.profile.dl_sd, "the cell's priors")):
-        least = abs(sign_source.dl) - 6.0 * sign_source.sd
-        fringes = least * each.phase_per_um / (2.0 * np.pi)
+        fringes = (abs(sign_source.dl) - 6.0 * sign_source.sd) * each.phase_per_um / (2.0 * np.pi)
         if fringes > 0 and len(each.samples) / fringes < SPARSE:
             return f"sparse: {len(each.samples)} samples for {fringes:.0f} fringes or more, by {sign_source.source}"
     return ""

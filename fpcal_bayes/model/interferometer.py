@@ -106,8 +106,7 @@ def reflected(
         return np.asarray(mean + amplitude * np.cos(phase))
     end, returned = np.sqrt(optics.fibre_reflectivity), mirror_amplitude(optics, distance, tilt)
     once = returned * np.exp(1j * phase)
-    field = end + (1.0 - optics.fibre_reflectivity) * once / (1.0 + end * once)
-    return np.asarray(np.abs(field) ** 2)
+    return np.asarray(np.abs(end + (1.0 - optics.fibre_reflectivity) * once / (1.0 + end * once)) ** 2)
 
 
 def read_out(optics: Interferometer, voltage: Floats) -> Floats:

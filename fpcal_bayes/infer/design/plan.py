@@ -116,8 +116,7 @@ class Planner:
 
     def judge(self, sweeps: Sweeps, ground: Ground | None = None) -> Criterion:
         """The criterion over sweeps as candidates, by default over all draws."""
-        settings = self.settings
-        design = (ground or self.ground).design(sweeps, readings=settings.readings, sigma=settings.sigma)
+        design = (ground or self.ground).design(sweeps, readings=self.settings.readings, sigma=self.settings.sigma)
         return Criterion(design, self.reference)
 
     def left(self, sweeps: Sweeps, ground: Ground | None = None) -> dict[str, float]:

@@ -311,8 +311,7 @@ def shortfalls(ground: Ground, sweeps: Sweeps, *, readings: int = 2, sigma: floa
         draw, place = np.unravel_index(np.argmax(variance[:, of_task]), (len(variance), len(of_task)))
         # The way the parameters move when the error at this point is one standard deviation.
         point = last.tasks[draw, of_task[place]] @ roots[draw]
-        moved = (roots[draw] @ point)[: ground.root.shape[1]]
-        direction = (ground.root @ moved) / safe / np.linalg.norm(point)
+        direction = (ground.root @ (roots[draw] @ point)[: ground.root.shape[1]]) / safe / np.linalg.norm(point)
         names = [ground.model.free.names[i] for i in np.argsort(-np.abs(direction), kind="stable")[:_NAMED]]
         plural = "s leave" if len(sweeps) > 1 else " leaves"
         sentences.append(

@@ -245,8 +245,7 @@ def batch_jacobians(question: Question, columns: Ints) -> tuple[Floats, Floats]:
         optical, fibre = block_axis[:, 0].copy(), vector[first + X_WF : first + Z_WF + 1]
         optical_axis_moves(cosine, sine, first, axis_is_z, axis_moves)
         for g in range(n_groups):
-            joints = group_q[g], group_cos[g], group_sin[g]
-            chain_axes((vector, cosine, sine), revolute, joints, frame, axes)
+            chain_axes((vector, cosine, sine), revolute, (group_q[g], group_cos[g], group_sin[g]), frame, axes)
             slide_axes(vector, revolute, axes, slides)
             group_changes(columns, vector, group_q[g], axes, (fibre, optical, axis_moves), slides, changes)
             height, facing = dot(axes, n_links, 3, n_links, 4), 0.0

@@ -80,8 +80,7 @@ def batch_points(question: Question, columns: Ints) -> tuple[Floats, Floats]:
         fibre = vector[first + X_WF : first + Z_WF + 1]
         optical_axis_moves(cosine, sine, first, axis_is_z, axis_moves)
         for g in range(n_groups):
-            joints = group_q[g], group_cos[g], group_sin[g]
-            chain_axes((vector, cosine, sine), revolute, joints, frame, axes)
+            chain_axes((vector, cosine, sine), revolute, (group_q[g], group_cos[g], group_sin[g]), frame, axes)
             slide_axes(vector, revolute, axes, slides)
             for m in range(group_start[g], group_start[g + 1]):
                 for i in range(3):

@@ -9,7 +9,7 @@ from task_fixtures import paper_estimate
 import fpcal_bayes as fp
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.candidates import candidate_sweeps
-from fpcal_bayes.infer.design.exchange import choose_sweeps, reference_of
+from fpcal_bayes.infer.design.exchange import ChosenSweeps, choose_sweeps, chosen_sweeps, reference_of
 from fpcal_bayes.infer.design.order import duration
 from fpcal_bayes.infer.design.plan import Planner, PlanSettings
 from fpcal_bayes.infer.design.problem import (
@@ -103,6 +103,28 @@ def test_fewest_is_enough_and_says_what_cannot_be(ground: Ground) -> None:
     assert found.sd["circle"][-1] <= 0.05
     with pytest.raises(InputError, match=r"no plan of up to 3 sweeps reaches the target; the best has circle .* nm"):
         Planner(ground, SMALL, {"circle": 1e-6}).fewest(most=3)
+
+
+def test_candidates_that_suffice_are_a_plan_though_the_descent_leads_away(
+    ground: Ground, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planner = Planner(ground, SMALL, {"circle": 0.05})
+    still = candidate_sweeps(ground.cell, n=1, rng=np.random.default_rng(0))
+    still = replace(still, q_end=still.q_start)
+
+    def lost(sweeps: Sweeps, *_: object) -> ChosenSweeps:
+        useless = still.take(np.zeros(len(sweeps), dtype=np.int64))
+        return chosen_sweeps(planner.judge(useless).design, useless, tuple(range(len(sweeps))))
+
+    monkeypatch.setattr(planner, "refined", lost)
+    monkeypatch.setattr(planner, "best", lambda n: lost(planner.candidates.take(np.arange(n))))
+    monkeypatch.setattr(planner, "single", lambda n: lost(planner.candidates.take(np.arange(n))))
+    found = planner.fewest(most=20, settle=True)
+    assert planner.excess(planner.left(found.sweeps)) <= 1.0
+    assert len(found) < 20
+    # Where nothing suffices as many as are asked for come back.
+    hopeless = Planner(ground, SMALL, {"circle": 1e-6})
+    assert len(hopeless.fewest(most=3, settle=True)) == 3
 
 
 def test_a_plan_within_a_time_gives_up_its_least_useful_sweeps(cell: Cell, planner: Planner) -> None:

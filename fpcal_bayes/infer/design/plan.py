@@ -289,9 +289,12 @@ class Planner:
             chosen = greedy(criterion, len(chosen) + 1, chosen)
             if enough(self.candidates.take(np.array(chosen))):
                 break
-        best = self.refined(self.candidates.take(np.array(chosen)))
+        found = self.candidates.take(np.array(chosen))
+        best = self.refined(found)
         if not enough(best.sweeps):
-            best = self.best(len(chosen))
+            # The descent heeds other draws: candidates that suffice stay a plan though it leads away from them.
+            as_found = partial(chosen_sweeps, self.judge(found).design, found, tuple(range(len(found))))
+            best = as_found() if enough(found) else self.best(len(found))
         if not enough(best.sweeps):
             if settle:
                 return best

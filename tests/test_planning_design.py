@@ -108,3 +108,23 @@ def test_root_of_a_singular_covariance(seed: int, rank: int) -> None:
     root = covariance_root(covariance)
     size = np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
     assert (np.abs(root @ root.T - covariance) <= 1e-12 * size + 1e-300).all()
+
+
+@pytest.mark.parametrize("size", [1e6, 1e8])
+@pytest.mark.parametrize("known", [False, True])
+def test_rows_far_above_the_identity(size: float, known: bool) -> None:
+    """Rows that say again what others said leave what both leave, however little noise they have."""
+    case = random_case(4, n=16) | {"covariance": None}
+    case["rows"][:, 3] = case["rows"][:, 2] * (1.0 + 1e-9)
+    case["rows"] *= size
+    case["known"] = size * np.random.default_rng(5).normal(size=(3, 2, 16)) if known else None
+    design = Design.of(**case)
+    # Few rows beside the unknowns, and many.
+    for chosen in ((2, 5), (2, 5, 0, 1, 4)):
+        expected = [design.expected_variance((*chosen, c)) for c in range(7)]
+        np.testing.assert_allclose(design.if_added(chosen), expected, rtol=1e-4)
+        variance, directions = design.worst_points(chosen)
+        np.testing.assert_allclose(variance.mean(axis=0), design.expected_variance(chosen), rtol=1e-6)
+        # Covariance times a point's derivatives, of which the point's variance is made.
+        products = (design.tasks[:, None] * directions[:, :, None]).sum(axis=-1)
+        assert (np.abs(products - variance[..., None]).min(axis=-1) <= 1e-6 * variance).all()

@@ -52,6 +52,23 @@ def test_the_name_and_the_kinds_are_said(femto):
         fp.Controller(np.zeros(21))
 
 
+def test_what_is_a_number_is_told_by_its_kind():
+    for n in (np.str_("5"), np.bool_(True), np.array(2.0), np.array([2]), np.float64(2.0), np.array("5"), np.float64):
+        with pytest.raises(InputError, match=r"^plan: n is of type \w+, expected a whole number$"):
+            fp.plan(CELL, n)
+    for sigma in (np.str_("5"), np.bool_(True), True, np.array(5j), np.array([5.0]), np.datetime64(5, "s"), "5"):
+        with pytest.raises(InputError, match=r"^plan: sigma_nm is of type \w+, expected a number$"):
+            fp.plan(CELL, 1, sigma_nm=sigma)
+    one = fp.plan(CELL, np.array(1), draws=np.uint8(2), sigma_nm=np.array(5))
+    np.testing.assert_array_equal(one.q_end, fp.plan(CELL, 1, draws=2, sigma_nm=5.0).q_end)
+    truth, sweeps = fp.paper_truth(CELL), fp.paper_protocol(CELL)
+    for sigma in ("5", None, True, np.str_("5"), np.array(["5"]), ["5"], np.array([True]), {}):
+        with pytest.raises(InputError, match=r"^simulate: sigma_nm is of type \w+, expected a number or an array$"):
+            fp.simulate(CELL, truth, sweeps, sigma_nm=sigma, seed=0)
+    same = [fp.simulate(CELL, truth, sweeps, sigma_nm=s, seed=0) for s in (5, np.full(len(sweeps), 5))]
+    np.testing.assert_array_equal(same[0].dl, same[1].dl)
+
+
 def test_functions_go_to_other_processes():
     for name in FUNCTIONS:
         assert pickle.loads(pickle.dumps(getattr(fp, name))) is getattr(fp, name)

@@ -82,7 +82,7 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
 def _plan(
     options: argparse.Namespace, cell: Cell, settings: PlanSettings, targets: dict[str, float], bar: "_Bar"
 ) -> int:
-    # Judged on other draws than those it is made for, else the figures flatter it.
+    # Judged on other draws than those it is made for, else the figures flatter it; with targets these say how many.
     ground, check, trust, first = _grounds(options, cell, _tasks(options, targets, cell))
     readings, sigma = settings.readings, settings.sigma
     try:
@@ -100,20 +100,16 @@ def _plan(
         # What comes after measured sweeps is measured even if it does not suffice.
         chosen = planner.fewest(most=most, check=check, settle=bool(options.n and options.after))
     elif options.minutes is None:
-        chosen = planner.best(most, check)
+        chosen = planner.best(most)
     else:
-        chosen = planner.within(60.0 * options.minutes, most, check)
+        chosen = planner.within(60.0 * options.minutes, most)
     chosen, others = _named(chosen), {}
     ordered = planner.in_order(chosen.sweeps, options.output)
     seconds = {"plan": duration(cell, ordered, readings, settings.limits)}
     if settings.several:
-        single = _named(planner.single(len(chosen)))
-        plain = planner.in_order(single.sweeps)
+        plain = planner.in_order(planner.single(len(chosen)).sweeps)
         others["single joints"] = planner.left(plain, check)
         seconds["single joints"] = duration(cell, plain, readings, settings.limits)
-        fits = seconds["single joints"] <= 60.0 * (options.minutes or np.inf)
-        if fits and planner.excess(others["single joints"]) < planner.excess(planner.left(ordered, check)):
-            chosen, ordered, seconds["plan"] = single, plain, seconds["single joints"]
     expected = {"before": check.expected_sd(None), "plan": planner.left(ordered, check)}
     expected |= {"plan, where it was made": planner.left(ordered), **others}
     if options.minutes is not None and seconds["plan"] > 60.0 * options.minutes:
@@ -134,7 +130,6 @@ def _plan(
         warnings.append("the estimate knows nothing of the cell's mechanics: the expected sd are of a perfect one")
     if ground.goals.dropped:
         warnings.append(f"{ground.goals.dropped} of {options.draws} draws are left out: a task is out of reach there")
-
     frontier = None
     if options.frontier is not None:
         frontier = planner.frontier(check, max(len(ordered), _MOST_FRONTIER), bar.part("frontier"))

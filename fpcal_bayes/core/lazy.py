@@ -44,7 +44,7 @@ def _checked(function: Callable[..., Any]) -> Callable[..., Any]:
     def read(name: str, value: Any) -> Any:
         kinds = wanted.get(name, (object,))
         if not any(_fits(value, kind) for kind in kinds):
-            expected = _PLAIN.get(kinds[0]) or kinds[0].__name__
+            expected = (_PLAIN.get(kinds[0]) or kinds[0].__name__) + " or an array" * ("NDArray" in str(kinds[1:]))
             raise InputError(f"{function.__name__}: {name} is of type {type(value).__name__}, expected {expected}")
         if name == "seed" and value is not None and value < 0:
             raise InputError(f"{function.__name__}: seed {value}: expected zero or more")
@@ -62,8 +62,12 @@ def _checked(function: Callable[..., Any]) -> Callable[..., Any]:
 def _fits(value: Any, kind: Any) -> bool:
     if kind == Sequence[str]:
         return isinstance(value, Collection) and not isinstance(value, str) and all(isinstance(v, str) for v in value)
-    if kind is float and getattr(value, "ndim", None) == 0:
-        return True
+    of_array = getattr(getattr(value, "dtype", None), "kind", None)
+    if "NDArray" in str(kind):
+        several = isinstance(value, list | tuple) and all(_fits(v, kind) for v in value)
+        return several or (_fits(value, float) if of_array is None else of_array in "iuf")
+    if kind in (int, float) and of_array is not None:
+        return bool(value.ndim == 0 and of_array in ("iu" if kind is int else "iuf"))
     if kind in _PLAIN:
         return isinstance(value, Integral if kind is int else Real) and not isinstance(value, bool)
     return not isinstance(kind, type) or isinstance(value, kind)

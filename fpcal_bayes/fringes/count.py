@@ -83,8 +83,7 @@ class Reading:
         s = np.linspace(-1.0, 1.0, points + 2)[1:]
         changes, covariance = self.changes(s)
         root = np.linalg.inv(np.linalg.cholesky(0.5 * (np.eye(len(s)) + 1.0)))
-        largest = np.linalg.eigvalsh(root @ covariance @ root.T)[-1]
-        return s, changes, float(np.sqrt(max(largest, self.sigma**2)))
+        return s, changes, float(np.sqrt(max(np.linalg.eigvalsh(root @ covariance @ root.T)[-1], self.sigma**2)))
 
 
 @dataclass(frozen=True)

@@ -85,8 +85,7 @@ class Fit:
         left = 1.0 - np.clip(variance, 0.0, _TOLD_NOTHING)
         start, degree = np.array([-1.0]), len(self.profile)
         rows = (legendre(s, degree) - legendre(start, degree))[:, 1:]
-        alone = vectors @ ((vectors.T @ z) / left)
-        changes = rows @ (self.profile + self.modes @ (alone - z))
+        changes = rows @ (self.profile + self.modes @ (vectors @ ((vectors.T @ z) / left) - z))
         return changes, rows @ self.modes @ vectors * np.sqrt((1.0 - left) / left)
 
     def phase(self, s: Floats, phase_per_um: float) -> Floats:

@@ -197,8 +197,7 @@ def hidden(fit: Fit, samples: Samples, phase_per_um: float, end: float = -1.0) -
     weight = few.count * (height / fit.noise) ** 2
     total, mean = np.cumsum(weight), np.cumsum(weight * signal) / np.cumsum(weight)
     # Between samples and extremes the fringe rises or falls: where it comes nearest to the mean it stood.
-    extremes = np.pi * np.arange(np.ceil(phase[0] / np.pi), phase[-1] / np.pi)
-    edges = np.sort(np.concatenate([phase, extremes]))
+    edges = np.sort(np.concatenate([phase, np.pi * np.arange(np.ceil(phase[0] / np.pi), phase[-1] / np.pi)]))
     n = np.clip(np.searchsorted(np.maximum.accumulate(phase), edges[:-1], side="right") - 1, 0, len(phase) - 1)
     height = fit.wave(ahead * edges)[0]
     low, high = np.sort([height[:-1], height[1:]], axis=0)

@@ -152,8 +152,7 @@ def follow_phase(height: Floats, sd: Floats, expected: Floats, start_sd: float, 
         phase = expected[i] + excess
         slope = -math.sin(phase)
         # What the curvature hides counts as noise, so that a wide state does not believe a flat top.
-        variance = sd[i] ** 2 + 0.5 * (math.cos(phase) * p00) ** 2
-        innovation = p00 * slope * slope + variance
+        innovation = p00 * slope * slope + (sd[i] ** 2 + 0.5 * (math.cos(phase) * p00) ** 2)
         gain0, gain1 = p00 * slope / innovation, p01 * slope / innovation
         surprise = height[i] - math.cos(phase)
         excess += gain0 * surprise

@@ -237,8 +237,7 @@ class _Pool:
         # Around the median, the mean square is the better estimate.
         values = np.log(np.maximum(own / size if relative else own, 1e-12))
         near = np.abs(values - centre) < 0.5
-        level = np.sqrt((freedom[near] @ np.exp(2.0 * values[near])) / freedom[near].sum())
-        return cls(float(level), relative)
+        return cls(float(np.sqrt((freedom[near] @ np.exp(2.0 * values[near])) / freedom[near].sum())), relative)
 
     def noise_of(self, fit: Fit) -> tuple[float, float]:
         """Noise of one reading of a trace in V, and its residuals relative to what the campaign lets expect."""

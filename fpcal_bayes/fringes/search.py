@@ -75,8 +75,7 @@ def _by_transform(
     # The neighbours beyond either end stand for a range narrower than a step.
     step = 1.0 / (n_fast * width)
     order = order[(frequency[order] > slopes[0] - step) & (frequency[order] < slopes[1] + step)]
-    total = float((used.count * signal**2).sum() * used.count.sum())
-    power = 2.0 * np.abs(spectrum[:, order]) ** 2 / total
+    power = 2.0 * np.abs(spectrum[:, order]) ** 2 / float((used.count * signal**2).sum() * used.count.sum())
     if power.size == 0:
         return np.zeros((0, DEGREE)), np.zeros(0)
     b, a = _peaks(power)

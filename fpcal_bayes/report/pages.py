@@ -57,8 +57,7 @@ def svg_panels(figure: Figure) -> str:
     # All panels keep the same room around their axes, so that their letters have one size.
     n = len(figure.legends)
     inner = np.array([inches.transform(axis.bbox) for axis in figure.axes])
-    room = np.abs(boxes[n:] - inner).max(axis=0) + 0.02
-    boxes[n:] = inner + room * [[-1.0], [1.0]]
+    boxes[n:] = inner + (np.abs(boxes[n:] - inner).max(axis=0) + 0.02) * [[-1.0], [1.0]]
     svg = ""
     for part, box in zip(parts, boxes, strict=True):
         for each in parts:

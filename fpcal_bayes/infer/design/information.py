@@ -15,6 +15,8 @@ from fpcal_bayes.infer.design.kernels import add_left, worst_points
 _POWER = 6.0
 #: Rows, as a share of the unknowns, up to which a system of the size of the rows is solved sooner.
 _FEW = 0.6
+#: Size of a row beside whose square the identity is lost to rounding, so that roots come from the rows themselves.
+_LARGE = 1e5
 
 
 @dataclass(frozen=True)
@@ -73,16 +75,18 @@ class Design:
         if key not in self._left:
             variance, directions = np.empty((n_draws, n_tasks)), np.empty((n_draws, n_tasks, n))
             told, rows = self._told(key), self.rows[:, list(key)].reshape(n_draws, -1, n)
-            if told is None:
+            if told is None and not self._large:
                 worst_points(self.information, rows, self.tasks, self.task_start, variance, directions)
             else:
-                seen = self.tasks @ told.transpose(0, 2, 1)
-                after = (self.tasks**2).sum(axis=-1) - (seen**2).sum(axis=-1)
+                roots = self.roots(key).transpose(0, 2, 1) if told is None else told
+                seen = self.tasks @ roots.transpose(0, 2, 1)
+                after = (seen**2).sum(axis=-1)
+                after = after if told is None else (self.tasks**2).sum(axis=-1) - after
                 parts = np.split(after, self.task_start[1:-1], axis=1)
                 worst = np.stack([part.argmax(axis=1) for part in parts], axis=1) + self.task_start[:-1]
                 variance = np.take_along_axis(after, worst, axis=1)
                 points, seen = (np.take_along_axis(part, worst[..., None], axis=1) for part in (self.tasks, seen))
-                directions = points - seen @ told
+                directions = seen @ roots if told is None else points - seen @ roots
             self._left.clear()
             self._left[key] = variance, directions
         return self._left[key]
@@ -90,9 +94,13 @@ class Design:
     def _told(self, chosen: Sequence[int]) -> Floats | None:
         """Root of what few rows take off the identity (Woodbury), (n_draws, n_rows, n); None where rows are many."""
         rows = self.rows[:, list(chosen)].reshape(len(self.rows), -1, self.n_parameters)
-        if self.base is not None or rows.shape[1] >= _FEW * self.n_parameters:
+        if self.base is not None or rows.shape[1] >= _FEW * self.n_parameters or self._large:
             return None
         return np.asarray(np.linalg.inv(np.linalg.cholesky(np.eye(rows.shape[1]) + rows @ rows.swapaxes(1, 2))) @ rows)
+
+    @cached_property
+    def _large(self) -> bool:
+        return any(abs(part).max(initial=0.0) > _LARGE for part in (self.rows, self.base) if part is not None)
 
     @cached_property
     def information(self) -> Floats:
@@ -117,7 +125,9 @@ class Design:
         n_draws, n_candidates, k, n = self.rows.shape
         left, roots = np.zeros((n_candidates, len(self.names))), self._told(chosen)
         few = roots is not None
-        if roots is None:
+        if self._large:
+            roots = self.roots(chosen).transpose(0, 2, 1)
+        elif roots is None:
             added = self.rows[:, list(chosen)].reshape(n_draws, -1, n)
             roots = np.linalg.inv(np.linalg.cholesky(self.information + added.transpose(0, 2, 1) @ added))
         for draw, root in enumerate(roots.transpose(0, 2, 1)):

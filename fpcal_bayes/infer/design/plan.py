@@ -116,8 +116,7 @@ class Planner:
 
     def judge(self, sweeps: Sweeps, ground: Ground | None = None) -> Criterion:
         """The criterion over sweeps as candidates, by default over all draws."""
-        settings = self.settings
-        design = (ground or self.ground).design(sweeps, readings=settings.readings, sigma=settings.sigma)
+        design = (ground or self.ground).design(sweeps, readings=self.settings.readings, sigma=self.settings.sigma)
         return Criterion(design, self.reference)
 
     def left(self, sweeps: Sweeps, ground: Ground | None = None) -> dict[str, float]:
@@ -129,10 +128,10 @@ class Planner:
         design = (ground or self.ground).driven(sweeps, readings=self.settings.readings, sigma=self.settings.sigma)
         return Criterion(design, self.reference).value(())
 
-    def best(self, n: int, check: Ground | None = None) -> ChosenSweeps:
+    def best(self, n: int) -> ChosenSweeps:
         """The best n sweeps that are found: plans on few draws each, the best of them and all on more, then on all.
 
-        Where joints may move together the plan of `single` joints is given if it leaves less on `check`.
+        Where joints may move together the plan of `single` joints is given if it leaves less on the draws planned for.
         """
         settings, n_draws = self.settings, len(self.ground.goals.values)
         require_possible(n, len(self.candidates))
@@ -153,12 +152,12 @@ class Planner:
         every = found if single is None else [*found, single.sweeps]
         best = self._joined(every, self._part(0, _WIDER * settings.share))
         begun(1, 1.0)
-        refined = self.refined(best, lambda share: begun(2, share))
-        return (
-            refined
-            if single is None
-            else min((single, refined), key=lambda plan: self.excess(self.left(plan.sweeps, check)))
-        )
+        return self._or_single(self.refined(best, lambda share: begun(2, share)))
+
+    def _or_single(self, plan: ChosenSweeps) -> ChosenSweeps:
+        # Draws that a plan is checked on take no part in this, else the figure there flatters the one that is taken.
+        both = (self.single(len(plan)), plan) if self.settings.several else (plan,)
+        return min(both, key=lambda one: self.excess(self.left(one.sweeps)))
 
     def single(self, n: int, tell: Callable[[float], None] = lambda _: None) -> ChosenSweeps:
         """The best n sweeps of single joints that a short search finds; searched once."""
@@ -229,7 +228,7 @@ class Planner:
         require_within_envelope(self.ground.model, self.ground.draws, ordered.q_start, ordered.q_end, file=file)
         return ordered
 
-    def within(self, seconds: float, most: int = 69, check: Ground | None = None) -> ChosenSweeps:
+    def within(self, seconds: float, most: int = 69) -> ChosenSweeps:
         """As many sweeps, up to `most`, as take no longer than `seconds` in their order; `InputError` if none does."""
 
         def spent(sweeps: Sweeps) -> float:
@@ -238,7 +237,7 @@ class Planner:
         n, fits, too_many = min(most, _FIRST), 0, most + 1
         best = None
         while too_many - fits > 1:
-            found = self.best(n, check)
+            found = self.best(n)
             needed = left = spent(found.sweeps)
             if needed > seconds:
                 too_many = n
@@ -264,7 +263,7 @@ class Planner:
         settings, short, points = self.settings, self.short(self.settings.several), []
         numbers = [n for n in _NUMBERS if n < most] + [most]
         for done, n in enumerate(numbers):
-            plan = short.in_order(short.best(n, check).sweeps)
+            plan = short.in_order(short.best(n).sweeps)
             seconds = duration(self.ground.cell, plan, settings.readings, settings.limits)
             points.append(Point(n, seconds, self.left(plan, check)))
             tell((done + 1) / len(numbers))
@@ -290,9 +289,12 @@ class Planner:
             chosen = greedy(criterion, len(chosen) + 1, chosen)
             if enough(self.candidates.take(np.array(chosen))):
                 break
-        best = self.refined(self.candidates.take(np.array(chosen)))
+        found = self.candidates.take(np.array(chosen))
+        best = self.refined(found)
         if not enough(best.sweeps):
-            best = self.best(len(chosen), check)
+            # The descent heeds other draws: candidates that suffice stay a plan though it leads away from them.
+            as_found = partial(chosen_sweeps, self.judge(found).design, found, tuple(range(len(found))))
+            best = as_found() if enough(found) else self.best(len(found))
         if not enough(best.sweeps):
             if settle:
                 return best
@@ -300,12 +302,13 @@ class Planner:
         too_few, high = 0, len(chosen)
         while high - too_few > 1:
             middle = (too_few + high) // 2
-            plan = self.best(middle, check)
+            plan = self.best(middle)
             if enough(plan.sweeps):
                 best, high = plan, middle
             else:
                 too_few = middle
-        return best
+        other = self._or_single(best)
+        return other if enough(other.sweeps) else best
 
     def unreached(self, sd: Mapping[str, float], n: int) -> str:
         """A sentence on `n` sweeps, the best that are found, that leave each task `sd` in um and miss a tolerance."""

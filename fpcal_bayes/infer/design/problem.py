@@ -127,6 +127,7 @@ class Ground:
     known: Floats | None = None
     # from the state to the free parameters, shape (n_free, n), where knowledge of an estimate says it
     factor: Floats | None = None
+    measured: bool = False  # whether what is known is told by sweeps that have just been measured
 
     @property
     def cell(self) -> Cell:
@@ -285,7 +286,7 @@ def measured_ground(
 ) -> Ground:
     """A cell after measured sweeps: these and the prior, at draws of the estimate, which counts with mechanics."""
     if estimate.mechanics is not None:
-        return estimate_ground(estimate, tasks=tasks, radius=radius)
+        return replace(estimate_ground(estimate, tasks=tasks, radius=radius), measured=True)
     values = normal_draws(estimate.values, estimate.covariance, draws, seed)
     made = prior_ground(estimate.cell, tasks=tasks, radius=radius, values=values)
     return replace(made, centre=estimate.values).with_known(sweeps, 0.0)
@@ -294,9 +295,11 @@ def measured_ground(
 def shortfalls(ground: Ground, sweeps: Sweeps, *, readings: int = 2, sigma: float = 0.005) -> list[str]:
     """A sentence for each task that the sweeps leave undetermined, with the parameters that make it so."""
     last = ground.driven(sweeps, readings=readings, sigma=sigma)
-    # Before any measurement at all: what is known already is not undetermined since more sweeps add little.
-    wide = [jacobian * ground.model.free.prior_sd for jacobian in ground.goals.jacobians.values()]
-    before = [(jacobian**2).sum(axis=-1).max(axis=1).mean() for jacobian in wide]
+    # Before any sweep: what measured ones have told is not undetermined since more add little.
+    before = replace(ground, known=None).driven(None, readings=readings, sigma=sigma).expected_variance(())
+    if ground.measured:
+        wide = [jacobian * ground.model.free.prior_sd for jacobian in ground.goals.jacobians.values()]
+        before = np.array([(jacobian**2).sum(axis=-1).max(axis=1).mean() for jacobian in wide])
     after, variance, roots = last.expected_variance(()), last.task_variance(()), last.roots(())
     own = np.sqrt(np.diag(ground.covariance))
     safe = np.where(own > 0, own, 1.0)
@@ -308,8 +311,7 @@ def shortfalls(ground: Ground, sweeps: Sweeps, *, readings: int = 2, sigma: floa
         draw, place = np.unravel_index(np.argmax(variance[:, of_task]), (len(variance), len(of_task)))
         # The way the parameters move when the error at this point is one standard deviation.
         point = last.tasks[draw, of_task[place]] @ roots[draw]
-        moved = (roots[draw] @ point)[: ground.root.shape[1]]
-        direction = (ground.root @ moved) / safe / np.linalg.norm(point)
+        direction = (ground.root @ (roots[draw] @ point)[: ground.root.shape[1]]) / safe / np.linalg.norm(point)
         names = [ground.model.free.names[i] for i in np.argsort(-np.abs(direction), kind="stable")[:_NAMED]]
         plural = "s leave" if len(sweeps) > 1 else " leaves"
         sentences.append(

@@ -57,8 +57,7 @@ class MarginalWhitening(Whitening):
 
     def unwhiten(self, rows: Floats) -> Floats:
         """Undo `apply` on the columns of a matrix (n_rows, n)."""
-        grow = 1.0 / (1.0 - self.shrink) - 1.0
-        wide = rows + self.directions @ (grow[:, None] * (self.directions.T @ rows))
+        wide = rows + self.directions @ ((1.0 / (1.0 - self.shrink) - 1.0)[:, None] * (self.directions.T @ rows))
         return Whitening(self.scale, self.batches).unwhiten(wide)
 
     def weigh(self, rows: Floats) -> Floats:

@@ -72,8 +72,7 @@ class Mechanics:
         if term == "drift":
             return replace(self, drift_nm_per_min=0.0)
         zero = {name: None if name == "flatness_nm" else 0.0 for name in TERMS[term]}
-        joints = tuple(replace(joint, **zero) for joint in self.joints)  # type: ignore[arg-type]
-        return replace(self, joints=joints)
+        return replace(self, joints=tuple(replace(joint, **zero) for joint in self.joints))  # type: ignore[arg-type]
 
     @property
     def sha256(self) -> str:

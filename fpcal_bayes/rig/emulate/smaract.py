@@ -75,8 +75,7 @@ class MCS2(EmulatedController):
             now = self._lab.clock.now()
             state = _CLOSED_LOOP | _SENSOR | _CALIBRATED | self._failed[channel]
             state |= _REFERENCED if self._referenced[channel] else 0
-            still = axis.settled(now) or axis.stuck == axis.stuck
-            return str(state | (0 if still else _MOVING))
+            return str(state | (0 if axis.settled(now) or axis.stuck == axis.stuck else _MOVING))
         return str(self._mode[channel]) if what == "MMOD" else "0"
 
     def _set(self, channel: str, what: str, value: str) -> None:

@@ -257,15 +257,16 @@ def _short(whole: Samples, size: int, grid: Floats, smooth: Followed, fit: _Fitt
     # Between two steps of the grid a low may lie deeper, by less than it rises to its neighbours.
     depth = costs[lows] - np.minimum(beside[:-2], beside[2:])[lows]
     likely = costs[lows] + np.where(np.isfinite(depth), depth, 0.0) < costs.min() + _CLOSE
-    laid: list[tuple[FringeSolution, float, float]] = []
+    laid, tried = list[tuple[FringeSolution, float, float]](), (float(grid.min()), float(grid.max()))
     for i in lows[likely][np.argsort(costs[lows[likely]])][:_PEAKS]:
-        laid += _laid(at, held, float(grid[i]), 0.5 * abs(float(grid[min(i + 1, len(grid) - 1)] - grid[max(i - 1, 0)])))
+        around = 0.5 * abs(float(grid[min(i + 1, len(grid) - 1)] - grid[max(i - 1, 0)]))
+        laid += _laid(at, held, float(grid[i]), around, tried)
     best, value, width = max(laid, key=lambda each: each[0].best.evidence)
     phase, further = best.best.phase(np.array([value, value + 1e-6]), per_um)
     image = value + 2e-6 * (np.round(phase / np.pi) * np.pi - phase) / (further - phase)
     # Where the course turns the image may lie beyond the sweep's other end, where it is none.
     if -order * image < 1.0:
-        laid += _laid(at, best.best, float(image), 4.0 * width)
+        laid += _laid(at, best.best, float(image), 4.0 * width, tried)
     best, value, _ = max(laid, key=lambda each: each[0].best.evidence)
     share = np.array([w * (abs(v) < 1.0) * np.exp(each.best.evidence - best.best.evidence) for each, v, w in laid])
     change = np.array([each.best.change[0] for each, *_ in laid]) - best.best.change[0]
@@ -311,12 +312,12 @@ def _lagged(whole: Samples, size: int, smooth: Followed, fit: _Fitter) -> Follow
 
 
 def _laid(
-    at: Callable[[float, Fit], FringeSolution], held: Fit, value: float, width: float
+    at: Callable[[float, Fit], FringeSolution], held: Fit, value: float, width: float, tried: tuple[float, float]
 ) -> list[tuple[FringeSolution, float, float]]:
     """Fits around a number, which need not be normal, with the numbers and the width that each stands for."""
     for _ in range(_ROUNDS):
-        # Beyond the sweep's own ends a place is none.
-        near = np.clip(value + width * np.linspace(-1.0, 1.0, 9), -1.0, 1.0)
+        # Beyond the sweep's own ends, and those that are tried, a place is none.
+        near = np.clip(value + width * np.linspace(-1.0, 1.0, 9), *tried)
         found = [at(float(each), held) for each in near]
         evidence = np.array([each.best.evidence for each in found])
         share = np.exp(evidence - evidence.max())

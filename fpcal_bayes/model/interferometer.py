@@ -72,8 +72,7 @@ def mirror_views(model: CavityModel, values: Floats, q: Floats) -> tuple[Floats,
     distance = np.abs(np.einsum("ij,ij->i", normals, origins - fibre))
     cosine = np.abs(normals @ axis)
     sine = np.linalg.norm(np.cross(normals, axis), axis=1)
-    length = distance / cosine if model.cell.opd == "axis" else distance
-    return length, distance, np.arctan2(sine, cosine)
+    return distance / cosine if model.cell.opd == "axis" else distance, distance, np.arctan2(sine, cosine)
 
 
 def mirror_amplitude(optics: Interferometer, distance: ArrayLike, tilt: ArrayLike) -> Floats:

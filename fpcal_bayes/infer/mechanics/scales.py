@@ -85,8 +85,7 @@ class ScaleDensity:
     def covariance(self, log: Floats) -> Floats:
         """K(s), shape (n, n)."""
         n = len(self.rows.target)
-        total = np.exp(2.0 * log) @ self._parts.reshape(len(log), -1)
-        return np.asarray(total.reshape(n, n) + self._fixed)
+        return np.asarray((np.exp(2.0 * log) @ self._parts.reshape(len(log), -1)).reshape(n, n) + self._fixed)
 
     def factor(self, log: Floats) -> Floats:
         """Lower Cholesky factor of K(s)."""

@@ -113,7 +113,6 @@ def _mirrors(model: CavityModel, values: Floats, task: Task) -> tuple[Floats, Fl
     normal, beam = mirror[:, 0, :, 2], fibre[..., 2] if cell.optical_axis == "z" else -fibre[..., 1]
     along = beam if cell.opd == "axis" else normal
     length = (origin[:, 0] * normal).sum(axis=-1) / (along * normal).sum(axis=-1)
-    spot = along * length[:, None] - origin[:, 0]
-    point = (np.swapaxes(mirror[:, 0], -1, -2) @ spot[..., None])[:, None]
+    point = (np.swapaxes(mirror[:, 0], -1, -2) @ (along * length[:, None] - origin[:, 0])[..., None])[:, None]
     back = np.swapaxes(fibre, -1, -2)[:, None]
     return (back @ mirror)[:, 1:], (back @ (origin[..., None] + mirror @ point))[:, 1:, :, 0]

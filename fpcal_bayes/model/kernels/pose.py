@@ -168,8 +168,7 @@ def batch_tool_poses(vectors: Floats, revolute: Bools, q: Floats) -> Floats:
         _, block_cosine, block_sine = start_block(vectors[k], n, 1, 1)
         chain = vectors[k], block_cosine[:, 0].copy(), block_sine[:, 0].copy()
         for m in range(n_poses):
-            here = q[k if q.shape[0] > 1 else 0, m]
-            pose_error(chain, revolute, here, origin, work, error)
+            pose_error(chain, revolute, q[k if q.shape[0] > 1 else 0, m], origin, work, error)
             for i in range(3):
                 for j in range(4):
                     poses[k, m, i, j] = frame[j, i]

@@ -38,11 +38,8 @@ class PIStage:
     def __init__(
         self, link: Link, joints: tuple[int, ...], axes: tuple[ControllerAxis, ...], speeds: Floats, servo_on: bool
     ) -> None:
-        self.name = link.device
-        self.joints = joints
-        self._link = link
-        self._axes = axes
-        self._speeds = speeds
+        self.name, self.joints = link.device, joints
+        self._link, self._axes, self._speeds = link, axes, speeds
         self._servo_on = servo_on
         # Axes whose targets stay are left alone.
         self._targets = np.full(len(axes), np.nan)

@@ -24,11 +24,8 @@ class SmarActStage:
     def __init__(
         self, link: Link, joints: tuple[int, ...], axes: tuple[ControllerAxis, ...], speeds: Floats, revolute: Bools
     ) -> None:
-        self.name = link.device
-        self.joints = joints
-        self._link = link
-        self._axes = axes
-        self._speeds = speeds
+        self.name, self.joints = link.device, joints
+        self._link, self._axes, self._speeds = link, axes, speeds
         self._wire = np.where(revolute, _NDEG, _PM)
         # Channels whose targets stay are left alone.
         self._targets = np.full(len(axes), np.nan)

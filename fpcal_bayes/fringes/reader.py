@@ -133,20 +133,20 @@ class _Look:
     ) -> "_Look":
         errors = None
         if smooth is not None:
-            old = smooth.solution
-            errors = None if each.errs or smooth.errors.probability <= DOUBTED else smooth.errors
+            old, left = smooth.solution, smooth.errors
             sd = pool.noise_of(old.best)[0] if pool else old.best.noise
             new = rescaled(old, sd)
             if abs(np.log(sd / old.best.noise)) > 0.05:
                 new = with_noise(old, each.profile, each.phase_per_um, sd, mirror_light)
-            ends = [hidden(new.best, each.samples, each.phase_per_um, end) for end in (-1.0, 1.0)]
-            smooth = None if _faint(new.best, each.samples) else replace(smooth, solution=new, told=np.array(ends))
+            smooth = None if _faint(new.best, each.samples) else replace(smooth, solution=new)
+            if smooth is not None and left.probability > DOUBTED and not each.errs:
+                ends = [hidden(new.best, each.samples, each.phase_per_um, end) for end in (-1.0, 1.0)]
+                smooth, errors = replace(smooth, told=np.array(ends)), left
         course, nuisance = (None, CALM) if smooth is None else (smooth.solution, smooth.solution.best.nuisance)
         sd = noise or 0.005 * float(np.ptp(each.samples.signal))
         given = each.samples, each.profile, each.phase_per_um, course, nuisance, sd, mirror_light
         again = partial(follow, *given, errs=each.errs)
-        holds = errors is not None and smooth is not None
-        return cls(each, smooth, again, smooth if holds else again(), errors if holds else None)
+        return cls(each, smooth, again, again() if errors is None else smooth, errors)
 
     def settled(self, odds: Floats) -> tuple[Followed, PhaseErrors] | None:
         """The course of the mirror by the odds (2,) of a late start and an early stop, and what its fit leaves."""
